@@ -31,8 +31,9 @@ from numpy.typing import NDArray
 
 import charms_bench.envs  # noqa: F401  # registers those of charms-bench
 from charms_bench.roads import TASKS
-from charms_bench.roads.episodes import Episodes, unchanged_idm
+from charms_bench.roads.episodes import Episodes
 from charms_bench.testing.road_parity import MOST_DECISIONS, action_for, compare, difference
+from charms_bench.testing.stock_roads import unchanged_idm
 
 TOLERANCE = 1e-6
 AT_START = 1e-9

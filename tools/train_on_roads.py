@@ -23,7 +23,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import charms_bench.envs  # noqa: F401  # registers the environments
 from charms_bench.envs.sb3 import EpisodesVecEnv
-from charms_bench.roads.episodes import Episodes, unchanged_idm
+from charms_bench.roads.episodes import Episodes
+from charms_bench.testing.stock_roads import unchanged_idm
 
 EPISODES, FIRST_SEED = 200, 1_000_000
 """Of the evaluation."""

@@ -2,8 +2,7 @@
 
 import os
 import platform
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -74,39 +73,19 @@ def use_exact_maths(engine: EngineName, environments: bool = False) -> None:
     _replace(_MODULES + _ENVIRONMENTS if environments else _MODULES)
 
 
-@contextmanager
-def exact_roads() -> Iterator[None]:
-    """Makes highway-env draw roads with `charms_bench.foundation.maths`, for the time being.
-
-    That is not enough for vehicles to move with the same bits; see `worker_environment`.
-    """
-    before = _replace(_MODULES + _ENVIRONMENTS)
-    try:
-        yield
-    finally:
-        for module, name, value in before:
-            setattr(module, name, value)
-
-
-def _replace(names: Collection[str]) -> list[tuple[Any, str, Any]]:
-    """Replaces what modules compute with; returns what was there, by module or class and name."""
-    before: list[tuple[Any, str, Any]] = [
-        (import_module(f"highway_env.{name}"), "np", _numpy) for name in names
-    ]
+def _replace(names: Collection[str]) -> None:
+    """Replaces what modules compute with."""
+    for name in names:
+        vars(import_module(f"highway_env.{name}"))["np"] = _numpy
     spline: Any = import_module("highway_env.road.spline")
-    before.append((spline, "CurvePose", _of_arrays(spline.CurvePose)))
+    spline.CurvePose = _of_arrays(spline.CurvePose)
     if "envs.racetrack_env" in names:
         track: Any = import_module("highway_env.envs.racetrack_env").RacetrackEnv
-        before.append((track, "_rewards", _without_power(track._rewards)))
+        track._rewards = _without_power(track._rewards)
         keeping: Any = import_module("highway_env.envs.lane_keeping_env").LaneKeepingEnv
-        before.append((keeping, "_reward", _reward_for_keeping_a_lane))
+        keeping._reward = _reward_for_keeping_a_lane
         linear: Any = import_module("highway_env.vehicle.behavior").LinearVehicle
-        exact = _of_a_product(linear.steering_features)
-        before.append((linear, "steering_features", exact))
-    for k, (module, name, value) in enumerate(before):
-        before[k] = module, name, getattr(module, name)
-        setattr(module, name, value)
-    return before
+        linear.steering_features = _of_a_product(linear.steering_features)
 
 
 class _Numpy(ModuleType):

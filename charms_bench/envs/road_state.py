@@ -7,11 +7,10 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Floats
 from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.layout import LaneName
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.road import is_on_lane
 
-LaneName = tuple[str, str, int]
-"""highway-env's name of a lane: two nodes and a number."""
 INSTEAD = {
     "observation_type": "observation_space, and config['observation']",
     "viewer": "render_mode and render()",

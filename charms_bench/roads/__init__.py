@@ -7,7 +7,8 @@ highway-env. So networks have a small engine of their own, which shares the lane
 the portable mathematics, the random generator, the constants and the collision test. A vehicle is a
 row of a table (`scenes.VEHICLE`), because compiled code passes a row as one pointer.
 
-Lanes, obstacles and default configurations are read from highway-env's own environments.
+Lanes, obstacles and default configurations are data here, equal to those of highway-env, which is
+not imported.
 """
 
 TASKS = {
@@ -28,8 +29,8 @@ TASKS = {
     "roundabout-generic-v1": "roundabout:GenericRoundabout",
     "racetrack-v0": "racetrack:Racetrack",
     "racetrack-v1": "racetrack:Racetrack",
-    "racetrack-large-v0": "racetrack:Racetrack",
-    "racetrack-large-v1": "racetrack:Racetrack",
+    "racetrack-large-v0": "racetrack:LargeRacetrack",
+    "racetrack-large-v1": "racetrack:LargeRacetrack",
     "racetrack-oval-v0": "racetrack:OvalRacetrack",
     "racetrack-oval-v1": "racetrack:OvalRacetrack",
     "parking-v0": "parking:Parking",

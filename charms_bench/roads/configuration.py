@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -26,10 +26,17 @@ _RENDERING = (
     *("screen_width", "screen_height", "centering_position", "scaling", "show_trajectories"),
     *("render_agent", "offscreen_rendering", "real_time_rendering"),
 )
-_NOT_NEGATIVE = (
-    *("vehicles_count", "other_vehicles", "initial_vehicle_count"),
-    *("state_noise", "derivative_noise"),
+_WHOLE = (
+    *("lanes_count", "no_lanes", "roundabout_lanes"),
+    *("vehicles_count", "initial_vehicle_count", "controlled_vehicles"),
 )
+_LEAST = {
+    **dict.fromkeys(("vehicles_count", "other_vehicles", "initial_vehicle_count"), 0),
+    **dict.fromkeys(("state_noise", "derivative_noise"), 0),
+    **dict.fromkeys(("lanes_count", "roundabout_lanes"), 1),
+    "after_merge_length": 90,
+}
+"""The least values of keys."""
 _ACTIONS = {
     (True, True): ACTIONS,
     (True, False): ("SLOWER", "IDLE", "FASTER"),
@@ -81,8 +88,14 @@ def checked(default: Mapping[str, Any], config: Mapping[str, Any] | None) -> dic
         if key not in default:
             known = suggestion(str(key), dict(default))
             raise InputError(f"config: no key named '{key}'. {known}")
-        is_number = isinstance(default[key], Real) and not isinstance(default[key], bool)
-        if is_number and key not in _RENDERING:
+        usual = default[key]
+        if key not in _RENDERING and isinstance(usual, list):
+            if not isinstance(value, list) or len(value) < len(usual):
+                what = f"highway-env does not start with it; expected {len(usual)} numbers"
+                raise InputError(f"config.{key}: {value!r}; {what}")
+            for each in value:
+                _check_number(key, each)
+        elif key not in _RENDERING and isinstance(usual, Real) and not isinstance(usual, bool):
             _check_number(key, value)
         if value not in _SUPPORTED.get(key, (value,)):
             expected = " or ".join(map(repr, _SUPPORTED[key]))
@@ -104,8 +117,10 @@ def _check_number(key: str, value: Any) -> None:
     """Raises an `InputError` unless a value is a number that the key can have."""
     if not isinstance(value, Real) or math.isnan(value):
         raise InputError(f"config.{key}: {value!r}; expected a number")
-    if key in _NOT_NEGATIVE and value < 0:
-        raise InputError(f"config.{key}: {value!r}; expected at least 0")
+    if key in _WHOLE and not isinstance(value, Integral):
+        raise InputError(f"config.{key}: {value!r}; expected a whole number")
+    if key in _LEAST and value < _LEAST[key]:
+        raise InputError(f"config.{key}: {value!r}; expected at least {_LEAST[key]}")
 
 
 def plain(values: Any) -> Any:

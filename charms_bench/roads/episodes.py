@@ -1,24 +1,21 @@
 """B episodes of one of highway-env's environments, which advance together."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, NamedTuple
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.exact_maths import exact_roads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded
 from charms_bench.roads import TASKS, configuration
 from charms_bench.roads.controls import actions_of
-from charms_bench.roads.lanes import road_of
-from charms_bench.roads.linear import constants_of, gains_of, linear_type
+from charms_bench.roads.defaults import DEFAULTS, MOST_STEPS, SPLIT
+from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
 from charms_bench.roads.observing import Observed, observer_of
-from charms_bench.roads.scenes import LANDMARK, OBSTACLE, Scenes, place
+from charms_bench.roads.scenes import Scenes, place
 from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
 from charms_bench.world.profile import HIGHWAY_ENV
@@ -38,15 +35,6 @@ class Decision(NamedTuple):
     truncated: Bools
 
 
-_PLAIN: dict[str, Any] = {
-    "observation": {"type": "Kinematics"},
-    "initial_vehicle_count": 0,
-    "simulation_frequency": 15,
-}
-"""The configuration with which highway-env's road is read."""
-_CHANGED = "DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN"
-
-
 class Episodes:
     """B scenes of the environment with highway-env's name `name`, such as `merge-v0`.
 
@@ -55,19 +43,13 @@ class Episodes:
     """
 
     def __init__(self, name: str, count: int, config: Mapping[str, Any] | None = None) -> None:
-        import highway_env  # noqa: F401  # registers its environments
-
         self.name = name
-        spec = gymnasium.spec(name)
-        source: Any = gymnasium.envs.registration.load_env_creator(str(spec.entry_point))
-        with exact_roads(), unchanged_idm():
-            stock = source()
         module, class_name = TASKS[name].split(":")
         task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
         _check_egos(task, config)
-        self.config = configuration.checked(stock.config, config)
+        self.config = configuration.checked(DEFAULTS[name], config)
         """highway-env's configuration, with the defaults."""
-        self.is_split = bool(spec.additional_wrappers)
+        self.is_split = name in SPLIT
         """Whether each agent has its own reward and ending [`MultiAgentWrapper`]."""
         one, self.has_agents = configuration.of_each_agent(self.config, "action")
         """Whether an action is one for each agent."""
@@ -77,15 +59,8 @@ class Episodes:
         with configuration.named(".action"):
             self.actions = actions_of(one, task.actions)
         """Those of one agent."""
-        stock.configure({**self.config, **_PLAIN, "action": {"type": task.actions[0]}})
-        try:
-            with exact_roads(), unchanged_idm():
-                stock.reset()
-        except Exception as error:  # whatever a value leads to in highway-env
-            raise InputError(f"config: highway-env does not start with it: {error!r}") from error
-        road = road_of(stock.road.network)
         with configuration.named(""):
-            self.task = task(one, stock.road.network)
+            self.task = task(one)
         self.agents = self.task.egos if self.has_agents else 1
         """The number of egos that are given actions."""
         with configuration.named(".observation"):
@@ -95,31 +70,32 @@ class Episodes:
             ]
         hz = self.config["simulation_frequency"]
         constants = HIGHWAY_ENV.constants(1 / hz)
-        linear = linear_type(self.config) if self.task.takes_types else None
-        own = constants_of(linear) if linear else {}
-        idm = constants.idm_mobil._replace(**self.task.idm, **own)
+        kind = self.config["other_vehicles_type"].rpartition(".")[2]
+        linear = LINEAR.get(kind) if self.task.takes_types else None
+        idm = constants.idm_mobil._replace(**self.task.idm)
+        if linear:
+            gain = linear.lane_change_gain_mps2
+            idm = idm._replace(time_headway_s=TIME_HEADWAY_S, lane_change_gain_mps2=gain)
         self._frames = int(hz // self.config["policy_frequency"])
         self._interval = 1 / self.config["policy_frequency"]
-        self._most_steps = spec.max_episode_steps
+        self._most_steps = MOST_STEPS.get(name)
         self.steps = np.zeros(count, dtype=np.int64)
         """(B,) the decisions of each episode so far."""
         self.scenes = Scenes.empty(
             count,
-            self.task.vehicles + len(stock.road.objects),
-            road,
+            self.task.vehicles + len(self.task.objects),
+            self.task.layout.network,
             self.config["neighbour_vehicles_connected_lanes"],
             self.actions.target_speeds,
             constants._replace(idm_mobil=idm),
             self.task.regulation_steps,
-            gains_of(linear) if linear else None,
+            linear.gains if linear else None,
         )
         for b in range(count):
-            for k, each in enumerate(stock.road.objects):
-                where = (*map(float, each.position), float(each.heading), float(each.speed))
-                kind = LANDMARK if type(each).__name__ == "Landmark" else OBSTACLE
-                place(self.scenes, b, self.task.vehicles + k, kind, *where)
-                row = self.scenes.vehicles[b, self.task.vehicles + k]
-                row["length"], row["width"] = each.LENGTH, each.WIDTH
+            for i, each in enumerate(self.task.objects, self.task.vehicles):
+                place(self.scenes, b, i, each.kind, each.x, each.y, each.heading, 0.0)
+                row = self.scenes.vehicles[b, i]
+                row["length"], row["width"] = each.length, each.width
         self.everyone = np.arange(count)
         self._rewards = np.zeros((count, 1 + len(self.task.terms)))
 
@@ -188,20 +164,3 @@ def _check_actions(task: type[Task], kind: Any) -> None:
             "'racetrack', 'parking', 'lane-keeping' and 'intersection'; expected "
             "'DiscreteMetaAction'. The motorway of charms_bench/Ego-v0 takes actions='continuous'"
         )
-
-
-@contextmanager
-def unchanged_idm() -> Iterator[None]:
-    """Restores the constants that highway-env's `intersection` changes for the whole process."""
-    module: Any = import_module("highway_env.vehicle.behavior")
-    kinds = [getattr(module, name) for name in configuration.TYPES]
-    before = [{name: vars(kind)[name] for name in _CHANGED if name in vars(kind)} for kind in kinds]
-    try:
-        yield
-    finally:
-        for kind, values in zip(kinds, before, strict=True):
-            for name in _CHANGED:
-                if name in values:
-                    setattr(kind, name, values[name])
-                elif name in vars(kind):
-                    delattr(kind, name)

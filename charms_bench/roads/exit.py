@@ -1,18 +1,26 @@
 """highway-env's `exit`: leaving a motorway in time."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.errors import InputError
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.generator import choice, uniform
+from charms_bench.roads.layout import WIDTH_M, Edge, straight_lanes
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
-from charms_bench.roads.task import Task, plan_route, routes_to, share, weighted
+from charms_bench.roads.task import Task, plan_route, share, weighted
 from charms_bench.world.road import heading_at, local_coordinates
+from charms_bench.world.road_network import CircularLane
+
+RADIUS_M = 150.0
+"""That of the ramp."""
 
 
 class Rule(NamedTuple):
@@ -38,8 +46,8 @@ class Exit(Task):
 
     terms = ("collision_reward", "goal_reward", "high_speed_reward", "right_lane_reward")
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
         lanes = int(config["lanes_count"])
         self.vehicles = 1 + int(config["vehicles_count"])
         self._rule = Rule(
@@ -55,9 +63,30 @@ class Exit(Task):
             float(config["reward_speed_range"][1]),
             bool(config["normalize_reward"]),
         )
-        self._routes = routes_to(network, ["3"])
+        self._routes = self.layout.routes_to(["3"])
         numbers = np.arange(lanes)
-        self._weights_of_lanes = numbers / numbers.sum()
+        self._weights_of_lanes = numbers / max(numbers.sum(), 1)
+
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`ExitEnv._create_road`]"""
+        count = config["lanes_count"]
+        if count == 1 and config["vehicles_count"]:
+            raise InputError("config.lanes_count: 1; expected at least 2 for other vehicles")
+        for road in (
+            straight_lanes("0", "1", count, 0.0, 400.0),
+            straight_lanes("1", "2", count + 1, 400.0, 100.0),
+            straight_lanes("2", "3", count, 500.0, 500.0),
+        ):
+            for k, (start, end, lane) in enumerate(road):
+                yield start, end, replace(lane, speed_limit=26 - 3.4 * k)
+        ramp = CircularLane(
+            center=(500.0, WIDTH_M * count + RADIUS_M),
+            radius=RADIUS_M,
+            start_phase=3 * math.pi / 2,
+            end_phase=2 * math.pi,
+            forbidden=True,
+        )
+        yield "2", "exit", ramp
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._rule, self._routes, self._weights_of_lanes)

@@ -1,6 +1,6 @@
 """highway-env's `highway` and `highway-fast`: a motorway of straight lanes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import clip, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
 from charms_bench.roads.exit import append
+from charms_bench.roads.layout import Edge, straight_lanes
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes
 from charms_bench.roads.task import Task, draw_behaviour, is_on_own_lane, share, weighted
 
@@ -42,15 +43,15 @@ class Highway(Task):
     terms = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
     others_collide = True
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
         lanes, ego_lane = int(config["lanes_count"]), config["initial_lane_id"]
         self.vehicles = 1 + int(config["vehicles_count"])
         self._ends_off_road = bool(config["offroad_terminal"])
         self._rule = Rule(
             self.vehicles,
             lanes,
-            -1 if ego_lane is None else range(lanes)[int(ego_lane)],
+            -1 if ego_lane is None else range(lanes)[ego_lane],
             float(config["ego_spacing"]),
             1 / config["vehicles_density"],
             maths.exp(-5 / 40 * lanes),
@@ -59,6 +60,10 @@ class Highway(Task):
             bool(config["normalize_reward"]),
             self.others_collide,
         )
+
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`HighwayEnv._create_road`]"""
+        return straight_lanes("0", "1", config["lanes_count"], 0.0, 10_000.0)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._rule)

@@ -1,25 +1,37 @@
 """highway-env's `intersection`: crossing four roads while vehicles come and go."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import InputError
+from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, normal, random, two_integers
 from charms_bench.roads.controls import kind_of_ego
+from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.locating import forget
 from charms_bench.roads.right_of_way import FREQUENCY_HZ
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, put_on_lane
 from charms_bench.roads.stepping import advance
-from charms_bench.roads.task import Task, draw_behaviour, plan_route, routes_to, share, weighted
+from charms_bench.roads.task import Task, draw_behaviour, plan_route, share, weighted
+from charms_bench.world.lane_geometry import Pair
 from charms_bench.world.road import heading_at, is_on_lane, local_coordinates, position
+from charms_bench.world.road_network import (
+    NO_LINE,
+    SOLID,
+    STRIPED,
+    CircularLane,
+    StraightLane,
+)
 
 _SIDES = 4
+RIGHT_RADIUS_M, ACCESS_M, SPEED_LIMIT_MPS = WIDTH_M + 5, 100.0, 10.0
+"""The radius of a turn to the right, and the length of a road that leads to the intersection."""
 MOST_TO_COME = 100
 """For so many vehicles there is room, in addition to those at the start."""
 STARTS_ALONG_M = 80.0
@@ -67,8 +79,8 @@ class Intersection(Task):
     can_have_egos = True
     actions = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
         hz = config["simulation_frequency"]
         self.regulation_steps = int(1 / (1 / hz) / FREQUENCY_HZ)
         if not self.regulation_steps:
@@ -79,7 +91,7 @@ class Intersection(Task):
         self._along = np.linspace(0, STARTS_ALONG_M, count)[:-1] if count > 1 else np.zeros(0)
         given = config["destination"]
         names = [f"o{side}" for side in range(_SIDES)]
-        self._routes = routes_to(network, [*names, *([str(given)] if given else [])])
+        self._routes = self.layout.routes_to([*names, *([str(given)] if given else [])])
         self._entries = np.array([self.lanes[f"o{k}", f"ir{k}", 0] for k in range(_SIDES)])
         leads_out = ["il" in start and "o" in end for start, end, _ in self.lanes]
         self._exits = np.array(leads_out, dtype=np.bool_)
@@ -98,6 +110,50 @@ class Intersection(Task):
         )
         self._rewards = np.zeros((0, self.egos))
         self._have_arrived = np.zeros((0, self.egos), dtype=np.bool_)
+
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`IntersectionEnv._make_road`]
+
+        Between east and west, vehicles have the right of way over those between north and south,
+        and straight on and to the right over those to the left.
+        """
+        left_radius, outer = RIGHT_RADIUS_M + WIDTH_M, RIGHT_RADIUS_M + WIDTH_M / 2
+        aside, away = WIDTH_M / 2, ACCESS_M + outer
+        for side in range(_SIDES):
+            angle, priority = math.radians(90 * side), 3 if side % 2 else 1
+            sine, cosine = maths.sin_cos(angle)
+
+            def at(x: float, y: float, sine: float = sine, cosine: float = cosine) -> Pair:
+                return cosine * x + -sine * y, sine * x + cosine * y
+
+            into, left, ahead, right = f"ir{side}", *(f"il{(side + k) % 4}" for k in (1, 2, 3))
+            common: dict[str, Any] = {"speed_limit": SPEED_LIMIT_MPS, "priority": priority}
+            start, end, lines = at(aside, away), at(aside, outer), (STRIPED, SOLID)
+            yield f"o{side}", into, StraightLane(start=start, end=end, line_types=lines, **common)
+            turn = CircularLane(
+                center=at(outer, outer),
+                radius=RIGHT_RADIUS_M,
+                start_phase=angle + math.radians(180),
+                end_phase=angle + math.radians(270),
+                line_types=(NO_LINE, SOLID),
+                **common,
+            )
+            yield into, right, turn
+            turn = CircularLane(
+                center=at(-left_radius + aside, left_radius - aside),
+                radius=left_radius,
+                start_phase=angle,
+                end_phase=angle + math.radians(-90),
+                clockwise=False,
+                line_types=(NO_LINE, NO_LINE),
+                **{**common, "priority": priority - 1},
+            )
+            yield into, left, turn
+            start, end, lines = at(aside, outer), at(aside, -outer), (STRIPED, NO_LINE)
+            yield into, ahead, StraightLane(start=start, end=end, line_types=lines, **common)
+            start, end, lines = at(outer, aside), at(away, aside), (NO_LINE, SOLID)
+            out = StraightLane(start=start, end=end, line_types=lines, **common)
+            yield right, f"o{right[-1]}", out
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._rule, self._along, self._entries, self._routes)

@@ -1,6 +1,7 @@
 """highway-env's `lane-keeping`: staying on a winding lane with tyres that slip."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,11 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.roads.controls import kind_of_ego
+from charms_bench.roads.layout import Edge
 from charms_bench.roads.scenes import DYNAMICAL, Scenes, place
 from charms_bench.roads.task import Task
 from charms_bench.world.road import heading_at, is_on_lane, local_coordinates, position
+from charms_bench.world.road_network import NO_LINE, STRIPED, SineLane, StraightLane
 
 START_M = 50.0
 """Where on its lane the ego starts."""
@@ -30,11 +33,26 @@ class LaneKeeping(Task):
     observes_before = True
     vehicles = 1
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
         if kind_of_ego(config) != DYNAMICAL:
             raise InputError("config.action.dynamical: False is not supported, as in highway-env")
         self._first, self._second = self.lanes["c", "d", 0], self.lanes["a", "b", 0]
+
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`LaneKeepingEnv._make_road`]"""
+        winding = SineLane(
+            start=(0.0, 0.0),
+            end=(500.0, 0.0),
+            amplitude=5.0,
+            pulsation=2 * math.pi / 100,
+            phase=0.0,
+            width=10.0,
+        )
+        yield "a", "b", winding
+        yield "c", "d", StraightLane(start=(50.0, 50.0), end=(115.0, 15.0), width=10.0)
+        end, lines = (115.0 + 20, 15.0 + 20 * (15.0 - 50) / (115 - 50)), (NO_LINE, STRIPED)
+        yield "d", "a", StraightLane(start=(115.0, 15.0), end=end, width=10.0, line_types=lines)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._first)

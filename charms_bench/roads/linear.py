@@ -5,8 +5,8 @@ that is missing, of the heading and of the lateral position.
 """
 
 from collections.abc import Mapping
-from importlib import import_module
-from typing import Any
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,25 +17,44 @@ from charms_bench.roads.scenes import CONTINUOUS, Here, lane_of, vehicle_of
 from charms_bench.world.idm_mobil import equilibrium_gap
 from charms_bench.world.lane_geometry import line_heading
 
-
-def linear_type(config: Mapping[str, Any]) -> Any:
-    """highway-env's class of the other vehicles if they are linear; None if they are not."""
-    module: Any = import_module("highway_env.vehicle.behavior")
-    kind = getattr(module, config["other_vehicles_type"].rpartition(".")[2])
-    return kind if issubclass(kind, module.LinearVehicle) else None
-
-
-def constants_of(kind: Any) -> dict[str, float]:
-    """The values of `IdmMobilParameters` in which a class differs from `IDMVehicle`."""
-    gain = float(kind.LANE_CHANGE_MIN_ACC_GAIN)
-    return {"time_headway_s": float(kind.TIME_WANTED), "lane_change_gain_mps2": gain}
+TIME_HEADWAY_S = 2.5
+"""[`TIME_WANTED`]"""
+_STEERING = (1 / 0.2, 1 / 0.2 * (1 / 0.6))
+"""[`STEERING_PARAMETERS`]"""
+_ACCELERATION = (0.3, 0.3, 2.0)
 
 
-def gains_of(kind: Any) -> Floats:
-    """The gains (3, GAINS) for `Scenes.empty`."""
-    ranges = np.concatenate([kind.ACCELERATION_RANGE, kind.STEERING_RANGE], axis=1)
-    own = np.concatenate([kind.ACCELERATION_PARAMETERS, kind.STEERING_PARAMETERS])
-    return np.array([own, ranges[0], ranges[1] - ranges[0]])
+class LinearType(NamedTuple):
+    """The constants of a class of linear vehicles."""
+
+    acceleration: tuple[float, float, float] = _ACCELERATION
+    """The gains of a vehicle for which none are drawn [`ACCELERATION_PARAMETERS`]."""
+    lane_change_gain_mps2: float = 0.2
+
+    @property
+    def gains(self) -> Floats:
+        """The gains (3, GAINS) for `Scenes.empty`; all classes draw from the same ranges."""
+        acceleration, steering = np.array(_ACCELERATION), np.array(_STEERING)
+        around = np.array([0.07, 1.5])
+        low = np.concatenate([0.5 * acceleration, steering - around])
+        high = np.concatenate([1.5 * acceleration, steering + around])
+        return np.array([[*self.acceleration, *_STEERING], low, high - low])
+
+
+def _merging(gain: float, short: float) -> LinearType:
+    """A class with a gain of acceleration at a merge [`MERGE_ACC_GAIN`, `MERGE_VEL_RATIO`]."""
+    gains = gain / ((1 - 0.75) * 30), gain / (0.75 * 30), short
+    return LinearType(gains, lane_change_gain_mps2=1.0)
+
+
+LINEAR: Mapping[str, LinearType] = MappingProxyType(
+    {
+        "LinearVehicle": LinearType(),
+        "AggressiveVehicle": _merging(0.8, 0.5),
+        "DefensiveVehicle": _merging(1.2, 2.0),
+    }
+)
+"""The linear types of the other vehicles, by highway-env's names of the classes."""
 
 
 @compiled

@@ -1,14 +1,17 @@
 """highway-env's `merge` and `merge-generic`: a motorway with a ramp that ends."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
+from charms_bench.roads.layout import WIDTH_M, Edge, RoadObject, straight_lanes
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
@@ -20,7 +23,19 @@ from charms_bench.roads.scenes import (
 )
 from charms_bench.roads.task import Task, share, weighted
 from charms_bench.world.actions import LANE_LEFT, LANE_RIGHT
+from charms_bench.world.road_network import (
+    NO_LINE,
+    SOLID_LINE,
+    STRIPED,
+    SineLane,
+    StraightLane,
+)
 
+SECTIONS = ("before", "converge", "parallel", "after")
+LENGTHS_M = (150.0, 80.0, 80.0, 150.0)
+"""Those of the sections of `merge`."""
+AMPLITUDE_M = 3.25
+"""Half of how far the ramp comes nearer."""
 SAFE_DISTANCE_M = 15.0
 """The least distance between vehicles at the start of `merge-generic`."""
 TRIES = 10
@@ -55,20 +70,37 @@ class Merge(Task):
     )
     vehicles = 5
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
-        lanes, sections = self.lanes, ("before", "converge", "parallel", "after")
-        lengths = [config.get(f"{name}_merge_length", 0) for name in sections]
-        self._end_x = float(sum(lengths) - 90) if any(lengths) else 370.0
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
+        lanes, lengths = self.lanes, self.lengths_of(config)
+        main_lanes, ramp_end = self.layout.graph["a"]["b"], float(sum(lengths[:3]))
+        self.objects = [RoadObject(ramp_end, WIDTH_M * main_lanes)]
+        self._end_x = float(sum(lengths) - 90)
         self._rule = Rule(
             lanes["a", "b", 0],
-            len(network.graph["a"]["b"]),
+            main_lanes,
             lanes["j", "k", 0],
             lanes.get(("b", "c", 2), -1),
             float(config["reward_speed_range"][0]),
             float(config["reward_speed_range"][1]),
-            float(sum(lengths[:3])),
+            ramp_end,
         )
+
+    def lengths_of(self, config: Mapping[str, Any]) -> Sequence[float]:
+        """The lengths of the sections, m."""
+        return LENGTHS_M
+
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`MergeEnv._make_road`]"""
+        b, c, d = (sum(LENGTHS_M[:k]) for k in (2, 3, 4))
+        for y, left, right in (
+            (0.0, SOLID_LINE, STRIPED),
+            (WIDTH_M, NO_LINE, SOLID_LINE),
+        ):
+            yield "a", "b", StraightLane(start=(0.0, y), end=(b, y), line_types=(left, right))
+            yield "b", "c", StraightLane(start=(b, y), end=(c, y), line_types=(left, STRIPED))
+            yield "c", "d", StraightLane(start=(c, y), end=(d, y), line_types=(left, right))
+        yield from ramp(LENGTHS_M, 2 * WIDTH_M, NO_LINE, 20.0)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._rule)
@@ -96,12 +128,48 @@ class Merge(Task):
 class GenericMerge(Merge):
     """[`MergeGenericEnv`]"""
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
         self.vehicles = 2 + int(config["vehicles_count"])
+
+    def lengths_of(self, config: Mapping[str, Any]) -> Sequence[float]:
+        for name in SECTIONS[:3]:
+            if not (length := config[f"{name}_merge_length"]) > 0:
+                raise InputError(f"config.{name}_merge_length: {length!r}; expected more than 0")
+        return [config[f"{name}_merge_length"] for name in SECTIONS]
+
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`MergeGenericEnv._make_road`]"""
+        count, lengths = config["lanes_count"], self.lengths_of(config)
+        first, second = lengths[0] + lengths[1], sum(lengths[:3])
+        yield from straight_lanes("a", "b", count, 0.0, first)
+        yield from straight_lanes("b", "c", count, first, lengths[2])
+        yield from straight_lanes("c", "d", count, second, lengths[3])
+        yield from ramp(lengths, WIDTH_M * count, STRIPED, 30.0)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start_generic(scenes, rows, self.vehicles, self._rule)
+
+
+def ramp(lengths: Sequence[float], y: float, left: int, speed_limit: float) -> Iterator[Edge]:
+    """The lanes of a ramp that ends beside the motorway, at y, with that line on its left."""
+    before, converge, parallel, _ = lengths
+    first, far = before + converge, y + 2 * AMPLITUDE_M
+    lines = SOLID_LINE, SOLID_LINE
+    common: dict[str, Any] = {"forbidden": True, "speed_limit": speed_limit}
+    yield "j", "k", StraightLane(start=(0.0, far), end=(before, far), line_types=lines, **common)
+    bend = SineLane(
+        start=(before, y + AMPLITUDE_M),
+        end=(first, y + AMPLITUDE_M),
+        amplitude=AMPLITUDE_M,
+        pulsation=2 * math.pi / (2 * converge),
+        phase=math.pi / 2,
+        line_types=lines,
+        **common,
+    )
+    yield "k", "b", bend
+    end, lines = (first + parallel, y), (left, SOLID_LINE)
+    yield "b", "c", StraightLane(start=(first, y), end=end, line_types=lines, **common)
 
 
 @compiled_of_scenes

@@ -1,26 +1,35 @@
 """highway-env's `parking`: reaching a spot of a car park, between walls and parked vehicles."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.errors import InputError
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
 from charms_bench.roads.controls import kind_of_ego
 from charms_bench.roads.goal import achieved_and_desired
+from charms_bench.roads.layout import WIDTH_M, Edge, RoadObject
 from charms_bench.roads.scenes import CONTINUOUS, LANDMARK, Scenes, place, put_on_lane
 from charms_bench.roads.task import Task
 from charms_bench.world.road import heading_at, position
+from charms_bench.world.road_network import SOLID, StraightLane
 
 FEATURES = ("x", "y", "vx", "vy", "cos_h", "sin_h")
 """Those of the reward, whatever is observed [`ParkingEnv.PARKING_OBS`]."""
 SCALES = np.array([100.0, 100.0, 5.0, 5.0, 1.0, 1.0])
 """What they are divided by."""
+SPOTS = 14
+"""On each side."""
+BESIDE_M, SPOT_M = 10.0, 8.0
+"""How far beside the centre spots begin, and how long they are."""
+WALLS_M = 70.0, 42.0
+"""The lengths of the walls along x and along y."""
 PARKED_AT_M = 4.0
 """How far along its spot a vehicle is parked."""
 
@@ -31,15 +40,32 @@ class Parking(Task):
     terms = ()
     actions = ("ContinuousAction", "DiscreteAction", "DiscreteMetaAction")
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
         spots = len(self.lanes) - 2  # one is near the ego, and one is the goal
         self.vehicles = 1 + min(int(config["vehicles_count"]), spots)
+        goal, (length, width) = RoadObject(0.0, 0.0, kind=LANDMARK), WALLS_M
+        walls = [RoadObject(0.0, y, length=length, width=1.0) for y in (-width / 2, width / 2)]
+        walls += [
+            RoadObject(x, 0.0, math.pi / 2, length=width, width=1.0)
+            for x in (-length / 2, length / 2)
+        ]
+        self.objects = [goal, *walls] if config["add_walls"] else [goal]
         self._ego = kind_of_ego(config)
         self._collision = float(config["collision_reward"])
         self._success = float(config["success_goal_reward"])
         self._weights = np.array(config["reward_weights"], dtype=np.float64)
+        if self._weights.size != len(FEATURES):
+            raise InputError(f"config.reward_weights: expected {len(FEATURES)} numbers")
         self._reached: Bools = np.zeros(0, dtype=np.bool_)
+
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`ParkingEnv._create_road`]"""
+        lines, near, far = (SOLID, SOLID), BESIDE_M, BESIDE_M + SPOT_M
+        for k in range(SPOTS):
+            x = (k + 1 - SPOTS // 2) * WIDTH_M - WIDTH_M / 2
+            yield "a", "b", StraightLane(start=(x, near), end=(x, far), line_types=lines)
+            yield "b", "c", StraightLane(start=(x, -near), end=(x, -far), line_types=lines)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._ego, self.vehicles)

@@ -1,31 +1,57 @@
 """highway-env's `roundabout` and `roundabout-generic`."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.errors import InputError
+from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, normal, uniform
+from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_lane
 from charms_bench.roads.task import (
     Task,
     draw_behaviour,
     is_on_own_lane,
     plan_route,
-    routes_to,
     share,
     weighted,
 )
 from charms_bench.world.actions import LANE_LEFT, LANE_RIGHT
-from charms_bench.world.lane_geometry import CIRCULAR
+from charms_bench.world.lane_geometry import CIRCULAR, Pair
 from charms_bench.world.road import heading_at, position
+from charms_bench.world.road_network import (
+    NO_LINE,
+    SOLID,
+    STRIPED,
+    CircularLane,
+    SineLane,
+    StraightLane,
+)
 
 _EXITS = ("exr", "sxr", "nxr")
 _GENERIC_EXITS = (*_EXITS, "wxr")
+_HALF = 24
+"""Half of the angle between an entry and an exit, degrees."""
+_RING = {
+    "se": ("ex", 90 - _HALF, _HALF),
+    "ex": ("ee", _HALF, -_HALF),
+    "ee": ("nx", -_HALF, -90 + _HALF),
+    "nx": ("ne", -90 + _HALF, -90 - _HALF),
+    "ne": ("wx", -90 - _HALF, -180 + _HALF),
+    "wx": ("we", -180 + _HALF, -180 - _HALF),
+    "we": ("sx", 180 - _HALF, 90 + _HALF),
+    "sx": ("se", 90 + _HALF, 90 - _HALF),
+}
+"""The lanes of the ring by the nodes at their starts, which are the entries (e) and exits (x) in
+the south, east, north and west: the nodes at their ends, and from which angle to which they go."""
+_AWAY = {"s": (0, 1), "e": (1, 0), "n": (0, -1), "w": (-1, 0)}
+"""The directions of the roads that lead away from the ring."""
 _SPAWNING = ("we", "sx"), ("sx", "se"), ("ee", "nx"), ("nx", "ne")
 _SPAWNING_OUTSIDE = ("eer", "ees"), ("ner", "nes"), ("wer", "wes")
 DEVIATION = 2.0
@@ -62,25 +88,40 @@ class Roundabout(Task):
     vehicles = 5
     exits: tuple[str, ...] = _EXITS
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
         given = config["incoming_vehicle_destination"]
-        self._routes = routes_to(network, [*self.exits, "nxs"])
-        self._lanes = self._start_lanes(network)
+        self._routes = self.layout.routes_to([*self.exits, "nxs"])
+        self._lanes = self._start_lanes()
         own = self.lanes["ser", "ses", 0]
         self._rule = Rule(
             self.vehicles,
             own,
-            self._own_start(network),
-            -1 if given is None else min(int(given), len(self.exits) - 1),
+            self._own_start(),
+            -1 if given is None else range(len(self.exits))[self._exit(given)],
             len(self.exits),
             bool(config["normalize_reward"]),
         )
 
-    def _own_start(self, network: Any) -> float:
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`RoundaboutEnv._make_road`]"""
+        yield from ring(20.0, 2)
+        width, entering = 85.0, 0.2 * 85.0
+        leaving, pulsation = width - entering, 2 * math.pi / width
+        entry = Bend(width / 2 - entering, 7.0, 5.0, pulsation)
+        phase = -math.pi / 2 + pulsation * leaving
+        way_out = Bend(-width / 2 + leaving, -7.0, 5.0, pulsation, phase)
+        for name in _AWAY:
+            yield from side(name, width / 2, 170.0, entry, way_out)
+
+    def _exit(self, given: int) -> int:
+        """The index of a given exit in `exits`; it may be negative."""
+        return given
+
+    def _own_start(self) -> float:
         return 125.0
 
-    def _start_lanes(self, network: Any) -> Ints:
+    def _start_lanes(self) -> Ints:
         inside, entry = self.lanes["we", "sx", 0], self.lanes["eer", "ees", 0]
         return np.array([inside + 1, inside, inside, entry])
 
@@ -104,18 +145,98 @@ class GenericRoundabout(Roundabout):
 
     exits = _GENERIC_EXITS
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
+    def __init__(self, config: Mapping[str, Any]) -> None:
         self.vehicles = 1 + int(config["vehicles_count"])
-        super().__init__(config, network)
+        super().__init__(config)
 
-    def _own_start(self, network: Any) -> float:
-        return float(network.get_lane(("ser", "ses", 0)).length - 2.5)
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`RoundaboutGenericEnv._make_road`]"""
+        radius, count = config["roundabout_radius"], config["roundabout_lanes"]
+        yield from ring(radius, count)
+        radius += WIDTH_M * (count - 1)
+        width = max(100.0, 2 * radius + 40.0)
+        for name, (x, y) in _AWAY.items():
+            bends = []
+            for node, aside in ((f"{name}e", 2.0), (f"{name}x", -2.0)):
+                sine, cosine = maths.sin_cos(math.radians(_RING[node][1]))
+                along = x * (radius * cosine) + y * (radius * sine)
+                across = y * (radius * cosine) - x * (radius * sine)
+                amplitude = (across - aside) / 2
+                middle = aside + amplitude if aside > 0 else across - amplitude
+                pulsation = math.pi / (width / 2 - along)
+                bends.append(Bend(along, middle, amplitude, pulsation))
+            yield from side(name, width / 2, width + 40.0, *bends)
 
-    def _start_lanes(self, network: Any) -> Ints:
+    def _exit(self, given: int) -> int:
+        return min(given, len(self.exits) - 1)
+
+    def _own_start(self) -> float:
+        return float(self.layout.network.lanes["length"][self.lanes["ser", "ses", 0]] - 2.5)
+
+    def _start_lanes(self) -> Ints:
         return np.array([self.lanes[*road, 0] for road in (*_SPAWNING, *_SPAWNING_OUTSIDE)])
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start_generic(scenes, rows, self._rule, self._lanes, self._routes)
+
+
+class Bend(NamedTuple):
+    """A sine between the ring and the straight part of an entry or an exit; SI units."""
+
+    start: float
+    """How far from the centre of the ring it starts or ends."""
+    aside: float
+    """How far its middle is beside the centre, positive on the side of the entry."""
+    amplitude: float
+    pulsation: float
+    phase: float = -math.pi / 2
+
+
+def ring(radius: float, count: int) -> Iterator[Edge]:
+    """The lanes of the ring, the innermost with that radius."""
+    for k in range(count):
+        if radius + WIDTH_M * k == 0:
+            raise InputError(f"config.roundabout_radius: {radius!r}; a lane would be a point")
+        left, right = SOLID if k == 0 else NO_LINE, SOLID if k == count - 1 else STRIPED
+        for start, (end, first, last) in _RING.items():
+            lane = CircularLane(
+                center=(0.0, 0.0),
+                radius=radius + WIDTH_M * k,
+                start_phase=math.radians(first),
+                end_phase=math.radians(last),
+                clockwise=False,
+                line_types=(left, right),
+            )
+            yield start, end, lane
+
+
+def side(name: str, near: float, far: float, entry: Bend, way_out: Bend) -> Iterator[Edge]:
+    """The entry and the exit on one side, straight from `near` to `far` of the centre."""
+    x, y = _AWAY[name]
+
+    def at(along: float, across: float) -> Pair:
+        return x * along + y * across, y * along - x * across
+
+    def lane(start: Pair, end: Pair, bend: Bend) -> SineLane:
+        return SineLane(
+            start=start,
+            end=end,
+            amplitude=bend.amplitude,
+            pulsation=bend.pulsation,
+            phase=bend.phase,
+            line_types=(SOLID, SOLID),
+        )
+
+    lines = STRIPED, SOLID
+    straight = StraightLane(start=at(far, 2.0), end=at(near, 2.0), line_types=lines)
+    yield f"{name}er", f"{name}es", straight
+    into = lane(at(near, entry.aside), at(entry.start, entry.aside), entry)
+    yield f"{name}es", f"{name}e", into
+    out = lane(at(way_out.start, way_out.aside), at(near, way_out.aside), way_out)
+    yield f"{name}x", f"{name}xs", out
+    lines = NO_LINE, SOLID
+    straight = StraightLane(start=at(near, -2.0), end=at(far, -2.0), line_types=lines)
+    yield f"{name}xs", f"{name}xr", straight
 
 
 @compiled

@@ -1,8 +1,7 @@
 """What is particular to one of highway-env's environments: its scenes, rewards and endings."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,16 +11,16 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import random, uniform
-from charms_bench.roads.scenes import GAINS, ROUTE_STEPS, Scenes
+from charms_bench.roads.layout import Edge, Layout, RoadObject
+from charms_bench.roads.scenes import GAINS, Scenes
 from charms_bench.world.road import is_on_lane
 
 
 class Task(ABC):
-    """The rules of an environment with a configuration; methods take the scenes `rows` (R,).
+    """The road and the rules of an environment; methods take the scenes `rows` (R,).
 
     Args:
         config: highway-env's configuration.
-        network: highway-env's `RoadNetwork`.
     """
 
     terms: ClassVar[tuple[str, ...]]
@@ -42,8 +41,10 @@ class Task(ABC):
     """Whether several vehicles can be controlled."""
     vehicles: int
     """The most vehicles of a scene, with the egos."""
+    objects: Sequence[RoadObject] = ()
+    """What stands on the road, in highway-env's order [`Road.objects`]."""
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
+    def __init__(self, config: Mapping[str, Any]) -> None:
         self.weights = np.array([float(config.get(term, 0)) for term in self.terms])
         """What the terms are multiplied by."""
         self.egos = int(config.get("controlled_vehicles", 1))
@@ -54,8 +55,13 @@ class Task(ABC):
             )
         self.duration = float(config.get("duration", np.inf))
         """The time after which an episode is truncated, s."""
-        self.lanes = {name: k for k, name in enumerate(network.lanes_dict())}
+        self.layout = Layout(self.lanes_of(config))
+        self.lanes = self.layout.lanes
         """The indices of lanes by highway-env's names: two nodes and a number."""
+
+    @abstractmethod
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """The lanes of its road, in the order of highway-env's calls of `RoadNetwork.add_lane`."""
 
     @abstractmethod
     def start(self, scenes: Scenes, rows: Ints) -> None:
@@ -109,28 +115,9 @@ class Task(ABC):
         return {}
 
 
-def routes_to(network: Any, destinations: Sequence[str]) -> Ints:
-    """The routes [D, L, 1 + R] from the ends of lanes to nodes [`ControlledVehicle.plan_route_to`].
-
-    The first number is that of the steps after the lane itself, and each step is the first lane of
-    a road.
-    """
-    lanes = {name: k for k, name in enumerate(network.lanes_dict())}
-    routes = np.zeros((len(destinations), len(lanes), 1 + ROUTE_STEPS), dtype=np.int64)
-    for d, destination in enumerate(destinations):
-        for (_, end, _), lane in lanes.items():
-            try:
-                path = network.shortest_path(end, destination)
-            except KeyError:
-                path = []
-            steps = [lanes[*nodes, 0] for nodes in pairwise(path)]
-            routes[d, lane, : 1 + len(steps)] = len(steps), *steps
-    return routes
-
-
 @compiled
 def plan_route(scenes: Scenes, b: int, i: int, routes: Ints, destination: int) -> None:
-    """Gives vehicle i its route, one of those of `routes_to`."""
+    """Gives vehicle i its route, one of those of `Layout.routes_to`."""
     vehicle, route = scenes.vehicles[b, i], routes[destination, scenes.vehicles[b, i].lane]
     first = scenes.road.lanes[vehicle.lane].first
     vehicle.route_step, vehicle.route_end = 0, 1 + route[0]

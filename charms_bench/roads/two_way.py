@@ -1,6 +1,6 @@
 """highway-env's `two-way`: overtaking on a road with oncoming traffic."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from numpy.typing import NDArray
@@ -8,9 +8,13 @@ from numpy.typing import NDArray
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import normal
+from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
 from charms_bench.roads.task import Task, weighted
 from charms_bench.world.road import heading_at
+from charms_bench.world.road_network import NO_LINE, SOLID_LINE, STRIPED, StraightLane
+
+LENGTH_M = 800.0
 
 
 class TwoWay(Task):
@@ -19,9 +23,16 @@ class TwoWay(Task):
     terms = ("high_speed_reward", "left_lane_reward")
     vehicles = 6
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
         self._own, self._oncoming = self.lanes["a", "b", 1], self.lanes["b", "a", 0]
+
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`TwoWayEnv._make_road`]"""
+        for y, lines in ((0.0, (SOLID_LINE, STRIPED)), (WIDTH_M, (NO_LINE, SOLID_LINE))):
+            yield "a", "b", StraightLane(start=(0.0, y), end=(LENGTH_M, y), line_types=lines)
+        back = StraightLane(start=(LENGTH_M, 0.0), end=(0.0, 0.0), line_types=(NO_LINE, NO_LINE))
+        yield "b", "a", back
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._own, self._oncoming)

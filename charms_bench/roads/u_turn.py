@@ -1,6 +1,7 @@
 """highway-env's `u-turn`: overtaking slow vehicles in a tight bend."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,18 +10,28 @@ from numpy.typing import NDArray
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import clip, compiled_of_scenes
 from charms_bench.foundation.generator import normal
+from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
 from charms_bench.roads.task import (
     Task,
     draw_behaviour,
     is_on_own_lane,
     plan_route,
-    routes_to,
     share,
     weighted,
 )
 from charms_bench.world.road import heading_at
+from charms_bench.world.road_network import (
+    NO_LINE,
+    SOLID,
+    SOLID_LINE,
+    STRIPED,
+    CircularLane,
+    StraightLane,
+)
 
+LENGTH_M, RADIUS_M = 128.0, 20.0
+"""Of the straight lanes, and of the inner lane of the bend."""
 _VEHICLES = (
     ("a", "b", 0, 25.0, 13.5),
     ("a", "b", 1, 56.0, 14.5),
@@ -48,13 +59,32 @@ class UTurn(Task):
     terms = ("collision_reward", "left_lane_reward", "high_speed_reward", "on_road_reward")
     vehicles = 7
 
-    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
-        super().__init__(config, network)
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        super().__init__(config)
         low, high = map(float, config["reward_speed_range"])
         self._rule = Rule(low, high, bool(config["normalize_reward"]))
-        self._routes = routes_to(network, ["d"])
+        self._routes = self.layout.routes_to(["d"])
         self._lanes = np.array([self.lanes["a", "b", 0], *(self.lanes[k[:3]] for k in _VEHICLES)])
         self._means = np.array([each[3:] for each in _VEHICLES])
+
+    def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
+        """[`UTurnEnv._make_road`]"""
+        inner, outer = (SOLID_LINE, STRIPED), (NO_LINE, SOLID_LINE)
+        for y, lines in ((WIDTH_M, inner), (0.0, outer)):
+            yield "c", "d", StraightLane(start=(LENGTH_M, y), end=(0.0, y), line_types=lines)
+        for k, lines in enumerate(((SOLID, STRIPED), (NO_LINE, SOLID))):
+            bend = CircularLane(
+                center=(LENGTH_M, WIDTH_M + RADIUS_M),
+                radius=RADIUS_M + k * WIDTH_M,
+                start_phase=math.radians(90),
+                end_phase=math.radians(-90),
+                clockwise=False,
+                line_types=lines,
+            )
+            yield "b", "c", bend
+        for k, lines in ((1, inner), (2, outer)):
+            y = 2 * RADIUS_M + k * WIDTH_M
+            yield "a", "b", StraightLane(start=(0.0, y), end=(LENGTH_M, y), line_types=lines)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._lanes, self._means, self._routes)

@@ -11,8 +11,9 @@ import numpy as np
 from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
 from charms_bench.foundation.workers import in_processes
 from charms_bench.roads.controls import Controls
-from charms_bench.roads.episodes import Decision, Episodes, unchanged_idm
+from charms_bench.roads.episodes import Decision, Episodes
 from charms_bench.roads.scenes import OBSTACLE
+from charms_bench.testing.stock_roads import unchanged_idm
 
 NUMBERS = (
     *("x", "y", "heading", "speed", "acceleration", "steering", "target_speed"),

@@ -17,7 +17,7 @@ from gymnasium.error import ResetNeeded
 
 import charms_bench.envs  # noqa: F401  # registers the environments
 from charms_bench.errors import InputError
-from charms_bench.roads.episodes import unchanged_idm
+from charms_bench.testing.stock_roads import unchanged_idm
 
 RENDERING = {
     "screen_width": 800,

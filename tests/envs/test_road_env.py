@@ -18,7 +18,7 @@ import charms_bench.envs  # noqa: F401  # registers the environments
 from charms_bench.envs.road_env import RoadEnv
 from charms_bench.errors import InputError
 from charms_bench.roads import TASKS
-from charms_bench.roads.episodes import unchanged_idm
+from charms_bench.testing.stock_roads import unchanged_idm
 from charms_bench.world.picture import ASPHALT, EGO, FINE, HEADER, PLAN_M, WIDTH
 
 

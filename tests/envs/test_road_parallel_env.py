@@ -12,7 +12,7 @@ import pytest
 
 from charms_bench.envs.road_parallel_env import RoadParallelEnv
 from charms_bench.errors import InputError
-from charms_bench.roads.episodes import unchanged_idm
+from charms_bench.testing.stock_roads import unchanged_idm
 
 with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
     # Its first module imports a game of PettingZoo's in a way that PettingZoo has deprecated.

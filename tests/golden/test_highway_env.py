@@ -1,16 +1,12 @@
 """Episodes are those of highway-env 1.12, as the scripts in `highway_env` recorded them."""
 
 from collections import Counter
-from copy import deepcopy
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from comparison import differences
 from counted_events import EVENTS
-from gymnasium.envs import registration
 from recorded_traces import Traces
 from road_frames import Roads
 from straight_frames import StraightRoads
@@ -22,24 +18,6 @@ STRAIGHT = (
     *("charms-3", "charms-2", "charms-4", "charms-every-step", "charms-5"),
     *("highway-env-3", "highway-env-dense", "highway-env-5", "highway-env-2"),
 )
-
-
-@pytest.fixture(autouse=True)
-def _each_environment_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`Episodes` makes one for each configuration, to read its road, which takes longest here."""
-    load = registration.load_env_creator
-
-    @cache
-    def made(name: str) -> tuple[Any, dict[str, Any]]:
-        environment: Any = load(name)()
-        return environment, deepcopy(environment.config)
-
-    def fresh(name: str) -> Any:
-        environment, config = made(name)
-        environment.config = deepcopy(config)
-        return environment
-
-    monkeypatch.setattr(registration, "load_env_creator", lambda name: lambda: fresh(name))
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -11,12 +11,18 @@ from charms_bench.testing.road_parity import Comparison, compare
 
 
 @pytest.fixture(scope="session")
-def compared() -> Iterator[Callable[..., Comparison]]:
-    """`road_parity.compare` as `road_parity.verify_road` calls it, without a new process a call."""
+def process() -> Iterator[ProcessPoolExecutor]:
+    """The process, as `road_parity.verify_road` starts one."""
     maths = ("highway-env", True)
     with ProcessPoolExecutor(1, get_context("spawn"), use_exact_maths, maths) as pool:
         with pytest.MonkeyPatch.context() as patch:
             for name, value in worker_environment("highway-env").items():
                 patch.setenv(name, value)
             pool.submit(int).result()
-        yield lambda *args, **options: pool.submit(compare, *args, **options).result()
+        yield pool
+
+
+@pytest.fixture(scope="session")
+def compared(process: ProcessPoolExecutor) -> Callable[..., Comparison]:
+    """`road_parity.compare` in the process."""
+    return lambda *args, **options: process.submit(compare, *args, **options).result()

@@ -5,7 +5,6 @@ recorded.
 """
 
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 from drawn_configurations import CHOSEN, LINEAR, random_configuration
 
 from charms_bench.roads import TASKS
-from charms_bench.roads.episodes import Episodes
 from charms_bench.testing.road_parity import (
     Comparison,
     compare,
@@ -97,9 +95,3 @@ def test_scenes_start_as_in_highway_env_with_its_own_mathematics(name: str) -> N
     found = compare(name, range(20), decisions=0, tolerance=1e-9)
     assert found.differing == []
     assert found.largest_at_start <= 1e-9
-
-
-def test_highway_env_computes_with_numpy_again_after_its_road_was_read() -> None:
-    Episodes("merge-v0", 1)
-    assert import_module("highway_env.road.lane").np is np
-    assert import_module("highway_env.envs.merge_env").np is np

@@ -1,11 +1,16 @@
-"""highway-env's networks of lanes as tables."""
+"""highway-env's own environments: their roads as tables, and what they leave behind."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields
+from importlib import import_module
 from inspect import getclosurevars
 from typing import Any
 
+from charms_bench.roads.configuration import TYPES
 from charms_bench.world import road_network
+
+_CHANGED = "DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN"
 
 
 def road_of(network: Any) -> road_network.Network:
@@ -32,3 +37,20 @@ def _description(lane: Any) -> road_network.Lane:
 def _values(interpolated: Callable[[float], float]) -> list[float]:
     """The values that one of highway-env's functions interpolates [`numpy_interp1d`]."""
     return list(map(float, getclosurevars(interpolated).nonlocals["y"]))
+
+
+@contextmanager
+def unchanged_idm() -> Iterator[None]:
+    """Restores the constants that highway-env's `intersection` changes for the whole process."""
+    module: Any = import_module("highway_env.vehicle.behavior")
+    kinds = [getattr(module, name) for name in TYPES]
+    before = [{name: vars(kind)[name] for name in _CHANGED if name in vars(kind)} for kind in kinds]
+    try:
+        yield
+    finally:
+        for kind, values in zip(kinds, before, strict=True):
+            for name in _CHANGED:
+                if name in values:
+                    setattr(kind, name, values[name])
+                elif name in vars(kind):
+                    delattr(kind, name)
