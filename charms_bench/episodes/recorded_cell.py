@@ -161,7 +161,7 @@ class RecordedCell:
 
 def check_guests(guests: Mapping[str, Agent], scene: SceneSettings) -> None:
     """Raises an `InputError` if a guest cannot drive on the road of some scenes."""
-    from charms_bench.roads.settings import problem_of_driver  # imports highway-env
+    from charms_bench.roads.settings import problem_of_driver  # slow to import
 
     for name, agent in guests.items():
         if problem := problem_of_driver(agent, scene):

@@ -174,7 +174,7 @@ def engine_on(scene: SceneSettings, engine: EngineName) -> EngineName | MakeEngi
     """The engine of some scenes: those on highway-env's roads have their own."""
     if scene.network is None:
         return engine
-    from charms_bench.roads.engine import RoadEngine  # imports highway-env
+    from charms_bench.roads.engine import RoadEngine  # slow to import
 
     return RoadEngine
 

@@ -208,7 +208,7 @@ class Suite(FrozenModel):
     def _scene_of(self, traffic: TrafficSpec) -> SceneSettings:
         if traffic.road is None:
             return self.scene.of_scenario(traffic.scenario)
-        from charms_bench.roads.settings import on_road  # imports highway-env
+        from charms_bench.roads.settings import on_road  # slow to import
 
         return on_road(self.scene, traffic.road)
 
