@@ -22,7 +22,7 @@ import yaml
 import charms_bench
 
 ROOT = Path(__file__).resolve().parent.parent
-SUITE = ROOT / "suites" / "train-braking.yaml"
+SUITE = ROOT / "suites" / "train.yaml"
 EGO = "charms_efficient_egoistic"
 STYLES = [
     f"{priority}_{svo}"

@@ -1,4 +1,4 @@
-"""The criteria of the third plan, and what they are about in the values of its test."""
+"""The criteria of the plan, and what they are about in the values of its test."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -203,7 +203,7 @@ CRITERIA = (
         "above constant velocity and above PPO, intervals apart", "that of calibrated drivers",
     ),
     Criterion(
-        "style statements of the second plan, Holm over all",
+        "style statements, Holm over all",
         "hold", "", "p", _statements, frame="styles",
     ),
     Criterion(

@@ -33,7 +33,7 @@ STATEMENTS = {
         "prosocial altruistic",
     ),
 }
-"""What the second plan says: the metric, the styles with more of it, and those with less."""
+"""What the plan says: the metric, the styles with more of it, and those with less."""
 STYLES: Columns = {
     "speed_mean": ("speed, m/s", ".2f", None),
     "time_headway_mean": ("mean headway, s", ".2f", None),

@@ -1,4 +1,4 @@
-"""The tables of the third plan: `python tools/plan_tables.py NETWORKS RUNS OUTPUT [names]`.
+"""The tables of the plan: `python tools/plan_tables.py NETWORKS RUNS OUTPUT [names]`.
 
 NETWORKS and RUNS are the folders of `tools/plan.py`. OUTPUT gets `plan-NAME.md` for each table, and
 CSV files with the values of every cell and seed. What RUNS does not hold is left out and named.
@@ -184,20 +184,13 @@ def trainings(networks: Path) -> dict[str, pl.DataFrame]:
 
 
 def plan_trainings(frames: Frames) -> str:
-    """The network, command, hash, commit and CPU time of each training."""
-    found = (
-        frames["trainings"]
-        .sort("network", "seed")
-        .with_columns(
-            pl.format("`{} {}`", "command", "seed").alias("command"),
-            pl.format("`{}`", pl.col("onnx_sha256").str.head(16)).alias("ONNX, SHA-256"),
-            pl.col("commit").cast(str).str.head(7),
-        )
+    """How many seeds each network was trained with, by which command, and for how long."""
+    found = frames["trainings"].group_by("network", "command").agg(
+        pl.col("seed").count().alias("seeds"), pl.col("CPU minutes").mean()
     )
-    keys = ["network", "seed", "command", "ONNX, SHA-256"]
-    keys += ["commit"] * (found["commit"].null_count() < found.height)
-    table = markdown(Table.plain(found.to_dicts(), tuple(keys), {"CPU minutes": ".1f"}))
-    return f"{table}\nCommands begin with `python tools/plan.py train NETWORKS RECORDINGS`.\n"
+    rows = found.sort("network").with_columns(pl.format("`{}`", "command").alias("command"))
+    forms = {"seeds": ".0f", "CPU minutes": ".1f"}
+    return markdown(Table.plain(rows.to_dicts(), ("network", "command"), forms))
 
 
 def thinned(curves: pl.DataFrame, most_bytes: int = CURVE_BYTES) -> pl.DataFrame:

@@ -1,4 +1,4 @@
-"""Whether the values of the third plan's test meet its criteria, cell by cell and as a table."""
+"""Whether the values of the plan's test meet its criteria, cell by cell and as a table."""
 
 from typing import Any
 

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 from charms_agents.charms import STYLES
 from charms_agents.human.samples import fingerprint
@@ -19,11 +20,26 @@ POLICIES = PROJECT / "agents" / "charms_agents" / "policies"
 PACKAGED = tuple(sorted(file.stem for file in POLICIES.glob("*.onnx")))
 TRAININGS = {
     "train-baselines": PROJECT / "networks" / "baselines",
-    "train": PROJECT / "networks" / "seed-1011",
+    "train": PROJECT / "networks" / "seed-3012",
 }
 """Each training suite of the package, and the folder of its networks that are not packaged."""
+HASHES = PROJECT / "docs" / "results" / "plan-trainings.csv"
+"""The hashes of the networks of the plan, also of those that are not kept."""
 SUITES = {name: load_training(PROJECT / "suites" / f"{name}.yaml") for name in TRAININGS}
-STAGES = [(suite, name) for suite, training in SUITES.items() for name in training.stages]
+
+
+def network(suite: str, name: str) -> Path:
+    """The network of a stage: in the package, or else beside it."""
+    packaged = POLICIES / f"{name}.onnx"
+    return packaged if packaged.is_file() else TRAININGS[suite] / packaged.name
+
+
+STAGES = [
+    (suite, name)
+    for suite, training in SUITES.items()
+    for name in training.stages
+    if network(suite, name).is_file()
+]
 HUMAN_STAGES = [
     (suite, name)
     for suite, training in SUITES.items()
@@ -32,12 +48,6 @@ HUMAN_STAGES = [
 ]
 RECORDED = [(suite, name) for suite, name in HUMAN_STAGES if name != "people"]
 US101 = PROJECT.parent / "shared" / "data" / "us101_corrected"
-
-
-def network(suite: str, name: str) -> Path:
-    """The network of a stage: in the package, or else beside it."""
-    packaged = POLICIES / f"{name}.onnx"
-    return packaged if packaged.is_file() else TRAININGS[suite] / packaged.name
 
 
 def manifest(suite: str, name: str) -> dict[str, Any]:
@@ -49,10 +59,25 @@ def sha256(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
+def hash_of(suite: str, name: str) -> str:
+    """The hash of the network of a stage, by the table of the trainings if it is not kept."""
+    if (file := network(suite, name)).is_file():
+        return sha256(file)
+    table = pl.read_csv(HASHES).filter(network=name, seed=SUITES[suite].seed)
+    return str(table["onnx_sha256"].item())
+
+
 def test_the_package_has_the_networks_of_its_agents_alone() -> None:
     styles = {"charms_{}_{}".format(*style) for style in STYLES.values()}
     others = {"best_response", "imitation", "prior_level_k", "prior_level_k_safe"}
     assert set(PACKAGED) == styles | others
+
+
+def test_only_styles_before_fine_tuning_are_not_kept() -> None:
+    lacking = {name for name in SUITES["train"].stages if ("train", name) not in STAGES}
+    styles = {"_".join(style) for style in STYLES.values()}
+    assert lacking == styles - {"efficient_egoistic"}
+    assert set(SUITES["train-baselines"].stages) <= {name for _, name in STAGES}
 
 
 @pytest.mark.parametrize(("suite", "name"), STAGES + HUMAN_STAGES)
@@ -93,7 +118,7 @@ def test_each_learnt_from_people_as_the_suite_says(suite: str, name: str) -> Non
     stage = human.stages[name]
     assert made["supervised"] == human.settings_of(stage).model_dump(mode="json")
     if stage.fine_tunes is not None:
-        weights = sha256(network(suite, stage.fine_tunes))
+        weights = hash_of(suite, stage.fine_tunes)
         assert made["starts_from"] == {"stage": stage.fine_tunes, "weights_sha256": weights}
 
 
