@@ -94,6 +94,8 @@ def steer(turning: Turning, count: int, c: Constants) -> None:
     for k in range(count):
         angle[k] = slip_to_turn(angle[k], not_zero(speed[k]), half_length[k], c.tau_heading)
     for k in range(count):
+        angle[k] = maths.tan(angle[k])
+    for k in range(count):
         wanted = clip(steering_of(angle[k]), -c.steering_limit, c.steering_limit)
         steering[k] = wanted if is_steered[k] else steering[k]
 
@@ -106,7 +108,9 @@ def turn(turning: Turning, count: int, c: Constants) -> None:
     steering, ahead, aside = turning.steering, turning.ahead, turning.aside
     direction_x, direction_y = turning.direction_x, turning.direction_y
     for k in range(count):
-        angle[k] = slip_of(steering[k])
+        angle[k] = maths.tan(steering[k])
+    for k in range(count):
+        angle[k] = slip_of(angle[k])
     for k in range(count):
         ahead[k], aside[k] = displacement(heading[k], angle[k], speed[k], c.dt)
     for k in range(count):

@@ -132,4 +132,4 @@ def steering_to(aside: float, distance: float, heading: float) -> float:
     if distance < 1e-6:
         return 0.0
     slip = maths.asin(clip(aside / distance, -1.0, 1.0)) - heading
-    return steering_of(clip(slip, -1.0, 1.0))
+    return steering_of(maths.tan(clip(slip, -1.0, 1.0)))

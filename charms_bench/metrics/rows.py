@@ -103,7 +103,9 @@ def _while_driving(value: pl.Expr) -> pl.Expr:
 
 def _gap(other: str) -> pl.Expr:
     """The gap between the bumpers of the ego and its leader or its follower, m."""
-    return gap_to(pl.col(f"{other}_distance"), pl.col("length"), pl.col(f"{other}_length"))
+    lengths = pl.col("length"), pl.col(f"{other}_length")
+    gap: pl.Expr = gap_to(pl.col(f"{other}_distance"), *lengths)
+    return gap
 
 
 def _following() -> dict[str, pl.Expr]:

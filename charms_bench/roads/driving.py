@@ -5,6 +5,7 @@ Each function names the function of highway-env that it follows, operation for o
 
 import numpy as np
 
+from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.compiled import (
     clip,
@@ -209,7 +210,7 @@ def steer_batch(batch: Row, c: Row) -> None:
     for k in range(BATCH):
         speed, half_length = number_of(batch, SPEED, k), number_of(batch, LENGTH, k) / 2
         slip = slip_to_turn(number_of(batch, AHEAD, k), speed, half_length, tau_s)
-        put(batch, STEERING, k, clip(steering_of(slip), -limit, limit))
+        put(batch, STEERING, k, clip(steering_of(maths.tan(slip)), -limit, limit))
 
 
 @inlined

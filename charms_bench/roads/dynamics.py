@@ -47,7 +47,7 @@ def move(vehicle: Row, dt: float) -> None:
     if vehicle.steering == 0.0:
         go_straight(vehicle, dt)
     else:
-        slip = slip_of(vehicle.steering)
+        slip = slip_of(maths.tan(vehicle.steering))
         x, y = displacement(vehicle.heading, slip, vehicle.speed, dt)
         vehicle.x += x
         vehicle.y += y
@@ -92,7 +92,10 @@ def finish(vehicle: Row, dt: float) -> None:
 def turn_batch(batch: Row, dt: float) -> None:
     """Finds how far vehicles in a batch move, and their next headings and directions."""
     for k in range(BATCH):
-        heading, slip = number_of(batch, HEADING, k), slip_of(number_of(batch, STEERING, k))
+        heading, slip = (
+            number_of(batch, HEADING, k),
+            slip_of(maths.tan(number_of(batch, STEERING, k))),
+        )
         speed, half_length = number_of(batch, SPEED, k), number_of(batch, LENGTH, k) / 2
         x, y = displacement(heading, slip, speed, dt)
         heading += turn_of(slip, speed, half_length, dt)
