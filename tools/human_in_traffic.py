@@ -19,6 +19,7 @@ from charms_bench.people.lane_choices import UNDONE_WITHIN_S
 from charms_bench.people.trips import CAR_LENGTH_M, RATE_HZ, read_trips
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats, SceneSettings
 
 FILES = {"i24": "i24_car_following.parquet", "i75": "i75_lane_trajectories.parquet"}
@@ -45,8 +46,8 @@ def sums(speed: Floats, gap: Floats) -> Floats:
     signs = np.sign(acceleration) * (np.abs(acceleration) > REVERSAL_MPS2)
     signs = signs[signs != 0]
     seen = gap < FURTHEST_M
-    headway = gap[seen] / np.maximum(speed[seen], 1.0)
-    short = (gap[seen] + CAR_LENGTH_M) / np.maximum(speed[seen], 1.0) < HEADWAY_S
+    headway = time_headway(gap[seen], speed[seen])
+    short = time_headway(gap[seen] + CAR_LENGTH_M, speed[seen]) < HEADWAY_S
     strong = np.abs(acceleration) > STRONG_MPS2
     of_speed = acceleration.size, acceleration.sum(), (acceleration**2).sum(), strong.sum()
     median = np.median(headway) if headway.size else np.nan

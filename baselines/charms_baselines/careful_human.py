@@ -35,7 +35,7 @@ import numpy as np
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
-from charms_bench.world.gaps import gap_to
+from charms_bench.world.gaps import gap_to, is_within
 from charms_bench.world.road import local_coordinates, width_at
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
@@ -121,7 +121,7 @@ def _risk(scene: Scene, b: int, i: int) -> tuple[float, bool, bool]:
         brakes_hard = is_in_lane and scene.acceleration[b, j] < -LEADER_BRAKING_MPS2
         fastest = max(fastest, closing)
         is_risk |= closing > 0 or brakes_hard
-        is_critical |= brakes_hard or gap < CRITICAL_TTC_S * closing
+        is_critical |= brakes_hard or is_within(gap, closing, CRITICAL_TTC_S)
         is_critical |= is_shown and is_in_lane and closing > 0
         is_shown |= not is_in_lane
         if is_in_lane:

@@ -6,6 +6,7 @@ import numpy as np
 
 from charms_bench import FASTER, IDLE, LANE_LEFT, LANE_RIGHT, SLOWER, Policy
 from charms_bench.world.actions import Actions
+from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Observations
 
 CLOSE_S = 1.5
@@ -32,7 +33,7 @@ class ModelPredictive(Policy):
 
     def decide(self, observations: Observations, memory: Any, noise: Any, rollouts: Any) -> Actions:
         found = rollouts(self._plans)
-        headway_s = found.gap / np.maximum(found.speed, 1.0)
+        headway_s = time_headway(found.gap, found.speed)
         close_s = np.maximum(CLOSE_S - headway_s, 0.0).sum(axis=2)
         changes = np.isin(self._first, (LANE_LEFT, LANE_RIGHT))
         value = found.x[:, :, -1] - 10.0 * close_s - 2.0 * changes - 1e3 * found.failed[:, :, -1]

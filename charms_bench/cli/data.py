@@ -90,6 +90,7 @@ def _print_trips(path: Path, as_json: bool) -> None:
     import numpy as np
 
     from charms_bench.people.trips import RATE_HZ, read_trips
+    from charms_bench.world.gaps import time_headway
 
     trips = read_trips(path)
     gap, speed = (np.concatenate([getattr(each, n) for each in trips]) for n in ("gap", "speed"))
@@ -99,7 +100,7 @@ def _print_trips(path: Path, as_json: bool) -> None:
         "following_h": gap.size / RATE_HZ / 3600,
         "speed_mean_mps": float(speed.mean()),
         "gap_mean_m": float(gap.mean()),
-        "time_gap_mean_s": float((gap / np.maximum(speed, 1.0)).mean()),
+        "time_gap_mean_s": float(time_headway(gap, speed).mean()),
     }
     if as_json:
         print_json(facts)

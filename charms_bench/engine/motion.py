@@ -4,7 +4,6 @@ Motion is computed in loops over the vehicles of a block of scenes that call one
 each, because such loops vectorise.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +11,16 @@ import numpy as np
 from charms_bench.engine.neighbours import search_neighbours
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled, index, not_zero, wrap_to_pi
+from charms_bench.world.bicycle import (
+    displacement,
+    limited,
+    slip_of,
+    slip_to_turn,
+    steering_of,
+    towards_centre,
+    towards_speed,
+    turn_of,
+)
 from charms_bench.world.profile import Constants
 from charms_bench.world.road import (
     closest_lane,
@@ -79,19 +88,16 @@ def steer(turning: Turning, count: int, c: Constants) -> None:
     half_length = turning.half_length
     angle, steering, is_steered = turning.angle, turning.steering, turning.is_steered
     for k in range(count):
-        lateral_speed = -(1 / c.tau_lateral) * lateral[k]
-        command = maths.asin(clip(lateral_speed / not_zero(speed[k]), -1.0, 1.0))
-        angle[k] = clip(command, -math.pi / 4, math.pi / 4) - heading[k]
+        angle[k] = towards_centre(lateral[k], not_zero(speed[k]), c.tau_lateral) - heading[k]
     for k in range(count):
         angle[k] = wrap_to_pi(angle[k])
     for k in range(count):
-        heading_rate = (1 / c.tau_heading) * angle[k]
-        angle[k] = maths.asin(clip(half_length[k] / not_zero(speed[k]) * heading_rate, -1.0, 1.0))
+        angle[k] = slip_to_turn(angle[k], not_zero(speed[k]), half_length[k], c.tau_heading)
     for k in range(count):
-        angle[k] = 2 * maths.tan(angle[k])
+        angle[k] = maths.tan(angle[k])
     for k in range(count):
-        limited = clip(maths.atan(angle[k]), -c.steering_limit, c.steering_limit)
-        steering[k] = limited if is_steered[k] else steering[k]
+        wanted = clip(steering_of(angle[k]), -c.steering_limit, c.steering_limit)
+        steering[k] = wanted if is_steered[k] else steering[k]
 
 
 @compiled
@@ -102,14 +108,13 @@ def turn(turning: Turning, count: int, c: Constants) -> None:
     steering, ahead, aside = turning.steering, turning.ahead, turning.aside
     direction_x, direction_y = turning.direction_x, turning.direction_y
     for k in range(count):
-        angle[k] = 1 / 2 * maths.tan(steering[k])
+        angle[k] = maths.tan(steering[k])
     for k in range(count):
-        angle[k] = maths.atan(angle[k])
+        angle[k] = slip_of(angle[k])
     for k in range(count):
-        sine, cosine = maths.sin_cos(heading[k] + angle[k])
-        ahead[k], aside[k] = speed[k] * cosine * c.dt, speed[k] * sine * c.dt
+        ahead[k], aside[k] = displacement(heading[k], angle[k], speed[k], c.dt)
     for k in range(count):
-        heading[k] += speed[k] * maths.sin(angle[k]) / half_length[k] * c.dt
+        heading[k] += turn_of(angle[k], speed[k], half_length[k], c.dt)
     for k in range(count):
         direction_y[k], direction_x[k] = maths.sin_cos(heading[k])
 
@@ -154,12 +159,10 @@ def move(
     # Each loop has few arrays: LLVM does not vectorise a loop over many that might overlap.
     for i in range(x.size):
         v = speed[i]
-        wanted = (1 / c.tau_acceleration) * (target_speed[i] - v)
+        wanted = towards_speed(v, target_speed[i], c.tau_acceleration)
         wanted = acceleration[i] if is_modelled[i] | is_held[i] else wanted
         wanted = -1.0 * v if crashed[i] else wanted
-        wanted = min(wanted, 1.0 * (c.speed_max - v)) if v > c.speed_max else wanted
-        wanted = max(wanted, 1.0 * (c.speed_min - v)) if v < c.speed_min else wanted
-        acceleration[i] = wanted
+        acceleration[i] = limited(wanted, v, c.speed_min, c.speed_max)
     for i in range(x.size):
         timer_s[i] += c.dt
     for i in range(x.size):

@@ -24,7 +24,7 @@ from charms_bench.engine.stepping import Put
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import seeded
-from charms_bench.world.gaps import gap_to, side_gap
+from charms_bench.world.gaps import gap_to, requires_braking, side_gap
 from charms_bench.world.moments import Tracks, moments_of
 from charms_bench.world.road import closest_lane
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
@@ -266,7 +266,7 @@ def is_free(scene: Scene, b: int, i: int, x: float, y: float, speed: float, foll
         is_ahead = distance > 0
         gap = gap_to(abs(distance), scene.length[b, i], scene.length[b, j])
         closing = speed - scene.speed[b, j] if is_ahead else scene.speed[b, j] - speed
-        if gap <= 0 or (closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap):
+        if gap <= 0 or requires_braking(gap, closing, DRAC_LIMIT_MPS2):
             return False
     return True
 

@@ -17,6 +17,7 @@ from charms_bench.engine.stepping import Put
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled
 from charms_bench.foundation.generator import seeded
+from charms_bench.world.bicycle import steering_of
 from charms_bench.world.placement import Placement, place
 from charms_bench.world.road import position
 from charms_bench.world.scenario import Scenario
@@ -131,4 +132,4 @@ def steering_to(aside: float, distance: float, heading: float) -> float:
     if distance < 1e-6:
         return 0.0
     slip = maths.asin(clip(aside / distance, -1.0, 1.0)) - heading
-    return maths.atan(2 * maths.tan(clip(slip, -1.0, 1.0)))
+    return steering_of(maths.tan(clip(slip, -1.0, 1.0)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from charms_bench.envs.highway_reward import highway_reward
 from charms_bench.episodes.replay import Replay
-from charms_bench.world.gaps import gap_to, time_to_collision
+from charms_bench.world.gaps import gap_to, is_within, time_to_collision
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M, is_on_lane
 from charms_bench.world.scene import Bools, Floats, Ints
 
@@ -67,7 +67,7 @@ def ego_view(replay: Replay) -> EgoView:
 def _reach_m(replay: Replay, ahead: Floats, among: Bools) -> float:
     ego = replay.ego
     closing = replay.speed[:, [ego]] - replay.speed
-    is_hazard = among & (ahead < HAZARD_TTC_S * closing) & ~replay.crashed[:, [ego]]
+    is_hazard = among & is_within(ahead, closing, HAZARD_TTC_S) & ~replay.crashed[:, [ego]]
     farthest = np.where(is_hazard, ahead, 0.0).max()
     return float(min(farthest + ROOM_M, FARTHEST_M))
 

@@ -10,6 +10,7 @@ import polars as pl
 from charms_bench.metrics.metric import Metric, in_name
 from charms_bench.metrics.row_samples import Sample
 from charms_bench.metrics.rows import IS_LATER
+from charms_bench.world.gaps import is_within
 
 FREE_HEADWAY_S = 6.0
 SHORT_HEADWAY_S = 1.0
@@ -41,7 +42,7 @@ def of_headway(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
         ),
         near.proportion(
             f"centre_headway_below_{in_name(threshold_s)}s",
-            DISTANCE.lt(threshold_s * pl.col("speed")),
+            is_within(DISTANCE, pl.col("speed"), threshold_s),
             "proportion of the time with a leader within 100 m in which the distance between "
             f"centres, divided by the ego's speed, is below {threshold_s:g} s",
         ),

@@ -15,6 +15,7 @@ from charms_bench.metrics.conduct import conduct_of
 from charms_bench.metrics.metric import Metric
 from charms_bench.metrics.time_to_collision import time_to_collision
 from charms_bench.recording.columns import NO_DRIVERS, with_lengths
+from charms_bench.world.gaps import gap_to, required_braking
 from charms_bench.world.scene import Floats, SceneSettings
 
 LOGGED_RANGE_M = 50.0
@@ -100,21 +101,21 @@ def _while_driving(value: pl.Expr) -> pl.Expr:
     return pl.when(pl.col("driving")).then(value)
 
 
-def _between(other: str) -> pl.Expr:
-    """The distance between the centres of the ego and another vehicle that touch, m."""
-    return (pl.col("length") + pl.col(f"{other}_length")) / 2
+def _gap(other: str) -> pl.Expr:
+    """The gap between the bumpers of the ego and its leader or its follower, m."""
+    lengths = pl.col("length"), pl.col(f"{other}_length")
+    gap: pl.Expr = gap_to(pl.col(f"{other}_distance"), *lengths)
+    return gap
 
 
 def _following() -> dict[str, pl.Expr]:
     """The columns on the leader and the follower."""
     speed, distance = pl.col("speed"), pl.col("leader_distance")
-    behind = pl.col("follower_distance")
-    gap = _while_driving(distance - _between("leader"))
-    rear_gap = _while_driving(behind - _between("follower"))
+    gap, rear_gap = (_while_driving(_gap(other)) for other in ("leader", "follower"))
     gap, rear_gap = (pl.when(each > 0).then(each) for each in (gap, rear_gap))
     closing, rear_closing = speed - pl.col("leader_speed"), pl.col("follower_speed") - speed
     fronts = distance + (pl.col("leader_length") - pl.col("length")) / 2
-    required = pl.when(closing > 0).then(closing**2 / (2 * gap)).otherwise(0.0)
+    required = pl.when(closing > 0).then(required_braking(gap, closing)).otherwise(0.0)
     return {
         "gap_m": gap,
         "ttc_s": time_to_collision(gap, closing),
@@ -153,12 +154,8 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
     return {
         "undone": own & is_back & (next_change["step"] - pl.col("step") <= within),
         "changer": changer.forward_fill(window - 1).fill_null(0),
-        "lead_gap_m": pl.when(changed).then(
-            (pl.col("leader_distance") - _between("leader")).clip(0.0)
-        ),
-        "lag_gap_m": pl.when(changed).then(
-            (pl.col("follower_distance") - _between("follower")).clip(0.0)
-        ),
+        "lead_gap_m": pl.when(changed).then(_gap("leader").clip(0.0)),
+        "lag_gap_m": pl.when(changed).then(_gap("follower").clip(0.0)),
         "imposed_braking_mps2": pl.when(changed).then(
             (-pl.col("new_follower_acceleration")).clip(0.0)
         ),

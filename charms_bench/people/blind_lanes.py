@@ -3,8 +3,9 @@
 import numpy as np
 
 from charms_bench.people.held_out import SEED
-from charms_bench.people.simple import SLOWEST_MPS, keeping
+from charms_bench.people.simple import keeping
 from charms_bench.plugins.agent import DriverModel
+from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 LIMITS_MPS2 = (-9.0, 2.0)
@@ -33,7 +34,7 @@ class BlindLanes(DriverModel):
         )
         leader, is_led = scene.leader(vehicles, lane)
         gap = scene.gap_to(vehicles, leader)
-        first = np.clip(gap / np.maximum(speed, SLOWEST_MPS), *LIMITS_TIME_GAP_S)
+        first = np.clip(time_headway(gap, speed), *LIMITS_TIME_GAP_S)
         kept = scene.memory[vehicles][:, 0]
         time_gap = np.where(kept > 0, kept, np.where(is_led, first, 0.0))
         scene.memory[(*vehicles, np.zeros(lane.size, dtype=np.int64))] = time_gap

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.world.gaps import is_within, time_headway
 from charms_bench.world.scene import Bools, Floats, Ints
 
 REVERSAL_MPS2 = 0.15
@@ -13,8 +14,6 @@ REVERSAL_MPS2 = 0.15
 STRONG_MPS2 = 1.1
 HARD_BRAKING_MPS2 = 1.5
 SHORT_HEADWAY_S = 1.0
-SLOWEST_MPS = 1.0
-"""Of the speed in a time gap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +68,8 @@ def conduct(driven: Driven) -> dict[str, float | None]:
         "strong_acceleration": float((np.abs(acceleration) > STRONG_MPS2).mean()),
         "reversals_per_minute": float(60 * reversals(acceleration).mean()),
         "hard_braking_per_h": float(3600 * (acceleration < -HARD_BRAKING_MPS2).mean()),
-        "time_gap_median_s": float(np.median(gap / np.maximum(speed, SLOWEST_MPS))),
-        "short_headway": float((gap < SHORT_HEADWAY_S * speed).mean()),
+        "time_gap_median_s": float(np.median(time_headway(gap, speed))),
+        "short_headway": float(is_within(gap, speed, SHORT_HEADWAY_S).mean()),
         "collided": float(driven.collided.mean()),
         "collisions_per_1000km": float(1000 * collisions / km),
         "lane_changes_per_km": float(changes / km) if np.isfinite(changes) else None,

@@ -26,6 +26,7 @@ import numpy as np
 from charms_bench.people.driven import HARD_BRAKING_MPS2, SHORT_HEADWAY_S, Driven, reversals
 from charms_bench.people.held_out import HORIZONS_S, SEED
 from charms_bench.statistics.energy_score import energy_score
+from charms_bench.world.gaps import is_within, time_headway
 from charms_bench.world.scene import Bools, Floats, Ints
 
 COMPONENTS = ("closed_loop", "given_scene", "events")
@@ -304,7 +305,7 @@ def _histograms(speed: Floats, gap: Floats, leader_speed: Floats) -> list[Floats
     seen, gap = speed[:, 1:-1], gap[:, 1:-1]
     stratum = _bin(seen, SPEEDS_MPS)
     for value, edges in (
-        (gap / np.maximum(seen, 1.0), TIME_GAPS_S),
+        (time_headway(gap, seen), TIME_GAPS_S),
         (seen - leader_speed[:, 1:-1], CLOSING_MPS),
     ):
         stratum = stratum * (len(edges) - 1) + _bin(value, edges)
@@ -323,7 +324,7 @@ def _bin(values: Floats, edges: tuple[float, ...]) -> Ints:
 def _events(speed: Floats, gap: Floats) -> tuple[Floats, int]:
     """(3,) seconds of hard braking and of short headways, collisions, and all seconds."""
     is_hard = np.diff(speed, axis=-1) < -HARD_BRAKING_MPS2
-    is_short = gap[:, 1:] < SHORT_HEADWAY_S * speed[:, 1:]
+    is_short = is_within(gap[:, 1:], speed[:, 1:], SHORT_HEADWAY_S)
     collided = (gap <= 0).any(axis=-1)
     counted = is_hard.sum(), is_short.sum(), collided.sum()
     return np.array(counted, dtype=np.float64), is_hard.size

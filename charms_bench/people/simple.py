@@ -12,6 +12,7 @@ import numpy as np
 from charms_bench.people.calibration import ou_noise
 from charms_bench.people.population import Population
 from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats
 
 Driver = Callable[[Trip, np.random.Generator], tuple[Floats, Floats]]
@@ -19,8 +20,6 @@ Driver = Callable[[Trip, np.random.Generator], tuple[Floats, Floats]]
 REPETITIONS = 8
 GAP_GAIN_HZ2, SPEED_GAIN_HZ = 0.02, 0.5
 """Of 16 pairs, the one that fits the gaps of the fitted drivers best, on I-75 and on I-24."""
-SLOWEST_MPS = 1.0
-"""Of the speed in the first time gap."""
 NEIGHBOURS = 30
 
 
@@ -28,7 +27,7 @@ def constant_time_gap(population: Population) -> Driver:
     """Keeps the first time gap."""
 
     def drives(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        time_gap_s = trip.gap[0] / max(trip.speed[0], SLOWEST_MPS)
+        time_gap_s = time_headway(trip.gap[0], trip.speed[0])
 
         def wanted(gap: Floats, speed: Floats, leader_speed: float) -> Floats:
             return keeping(time_gap_s, gap, speed, leader_speed)

@@ -13,7 +13,7 @@ from typing import Any
 
 from charms_bench.foundation.compiled import inlined
 from charms_bench.recording.primitives import NOBODY, distance_to
-from charms_bench.world.gaps import gap_to
+from charms_bench.world.gaps import gap_to, is_within, requires_braking
 from charms_bench.world.road import Straight
 from charms_bench.world.scene import Ints
 from charms_bench.world.thresholds import CONFLICT_TTC_S, DRAC_LIMIT_MPS2, HARD_BRAKING_MPS2
@@ -43,9 +43,9 @@ def note_conflicts(
         leader = now[j]
         gap = gap_to(distance_to(road, own, leader), own.length, leader.length)
         closing = own.speed - leader.speed
-        is_closing = (own.leader >= 0) & (gap > 0) & (closing > 0)
-        is_conflict = is_closing & (gap < CONFLICT_TTC_S * closing)
-        brakes_hard = is_closing & (closing**2 > 2 * DRAC_LIMIT_MPS2 * gap)
+        is_behind = (own.leader >= 0) & (gap > 0)
+        is_conflict = is_behind & is_within(gap, closing, CONFLICT_TTC_S)
+        brakes_hard = is_behind & requires_braking(gap, closing, DRAC_LIMIT_MPS2)
         is_near_miss = is_conflict | brakes_hard
         if not is_near_miss and met.near < 0:
             continue

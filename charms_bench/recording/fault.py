@@ -26,7 +26,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index, inlined
 from charms_bench.recording.primitives import Frames
 from charms_bench.world.candidate_lanes import LEFT, RIGHT
-from charms_bench.world.gaps import gap_to
+from charms_bench.world.gaps import gap_to, requires_braking
 from charms_bench.world.road import (
     Straight,
     distance_along,
@@ -144,7 +144,7 @@ def note_entries(scene: Scene, steps: Ints, state: Any) -> None:
                 closing = speed[b, j] - speed[b, i]
                 ahead = distance_along(road, entered, x[b, j], y[b, j], x[b, i], y[b, i])
                 gap = max(gap_to(ahead, scene.length[b, j], scene.length[b, i]), 0.0)
-                if closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap:
+                if requires_braking(gap, closing, DRAC_LIMIT_MPS2):
                     state[b, j].entrant, state[b, j].entered = i, steps[b]
 
 

@@ -3,8 +3,6 @@
 Each function names the function of highway-env that it follows, operation for operation.
 """
 
-import math
-
 import numpy as np
 
 from charms_bench.foundation import maths
@@ -47,6 +45,7 @@ from charms_bench.roads.scenes import (
 )
 from charms_bench.world import idm_mobil
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER
+from charms_bench.world.bicycle import slip_to_turn, steering_of, towards_centre, towards_speed
 from charms_bench.world.idm_mobil import closing_speed, desired_gap, imposes_braking, mobil
 from charms_bench.world.lane_geometry import END_MARGIN_M, line_heading
 from charms_bench.world.road import next_lane
@@ -89,8 +88,8 @@ def act(road: Network, here: Here) -> None:
         if vehicle.kind == COMMANDED:
             if is_at_end(here, i):
                 take_next_lane(road, here, i)
-            gain = 1 / here.constants.tau_acceleration
-            vehicle.acceleration = gain * (vehicle.target_speed - vehicle.speed)
+            tau_s = here.constants.tau_acceleration
+            vehicle.acceleration = towards_speed(vehicle.speed, vehicle.target_speed, tau_s)
         elif vehicle.kind == IDM and not vehicle.crashed:
             if is_at_end(here, i):
                 take_next_lane(road, here, i)
@@ -198,24 +197,20 @@ def steer(here: Here) -> None:
 @compiled
 def turn_to_lanes(batch: Row, c: Row) -> None:
     """Finds the angles to the directions that lead to the middle of the lane ahead."""
-    gain = -(1 / c.tau_lateral)
+    tau_s = c.tau_lateral
     for k in range(BATCH):
-        share = gain * number_of(batch, LATERAL, k) / number_of(batch, SPEED, k)
-        angle = maths.asin(min(max(share, -1.0), 1.0))
-        angle = min(max(angle, -math.pi / 4), math.pi / 4)
+        angle = towards_centre(number_of(batch, LATERAL, k), number_of(batch, SPEED, k), tau_s)
         put(batch, AHEAD, k, number_of(batch, AHEAD, k) + angle - number_of(batch, HEADING, k))
 
 
 @compiled
 def steer_batch(batch: Row, c: Row) -> None:
     """Finds the steering angles with which vehicles turn by the angles `AHEAD`."""
-    gain, limit = 1 / c.tau_heading, c.steering_limit
+    tau_s, limit = c.tau_heading, c.steering_limit
     for k in range(BATCH):
-        heading_rate = gain * number_of(batch, AHEAD, k)
-        rate = number_of(batch, LENGTH, k) / 2 / number_of(batch, SPEED, k) * heading_rate
-        slip = maths.asin(min(max(rate, -1.0), 1.0))
-        angle = maths.atan(2 * maths.tan(slip))
-        put(batch, STEERING, k, min(max(angle, -limit), limit))
+        speed, half_length = number_of(batch, SPEED, k), number_of(batch, LENGTH, k) / 2
+        slip = slip_to_turn(number_of(batch, AHEAD, k), speed, half_length, tau_s)
+        put(batch, STEERING, k, clip(steering_of(maths.tan(slip)), -limit, limit))
 
 
 @inlined

@@ -24,6 +24,7 @@ from charms_bench.roads.scenes import (
     number_of,
     put,
 )
+from charms_bench.world.bicycle import displacement, limited, slip_of, turn_of
 
 TO_AXLE_M = 2.5
 """From the centre of a vehicle to each axle [`LENGTH_A`, `LENGTH_B`]."""
@@ -46,10 +47,11 @@ def move(vehicle: Row, dt: float) -> None:
     if vehicle.steering == 0.0:
         go_straight(vehicle, dt)
     else:
-        x, y, turn = way(vehicle.heading, vehicle.steering, vehicle.speed, vehicle.length, dt)
+        slip = slip_of(maths.tan(vehicle.steering))
+        x, y = displacement(vehicle.heading, slip, vehicle.speed, dt)
         vehicle.x += x
         vehicle.y += y
-        vehicle.heading += turn
+        vehicle.heading += turn_of(slip, vehicle.speed, vehicle.length / 2, dt)
         vehicle.direction_y, vehicle.direction_x = maths.sin_cos(vehicle.heading)
     finish(vehicle, dt)
 
@@ -63,17 +65,15 @@ def prepare(vehicle: Row, dt: float) -> None:
     speed = vehicle.speed
     if vehicle.crashed:
         vehicle.steering, vehicle.acceleration = 0.0, -1.0 * speed
-    if speed > vehicle.speed_max:
-        vehicle.acceleration = min(vehicle.acceleration, 1.0 * (vehicle.speed_max - speed))
-    elif speed < vehicle.speed_min:
-        vehicle.acceleration = max(vehicle.acceleration, 1.0 * (vehicle.speed_min - speed))
+    low, high = vehicle.speed_min, vehicle.speed_max
+    vehicle.acceleration = limited(vehicle.acceleration, speed, low, high)
     if vehicle.kind == IDM:
         vehicle.timer_s += dt
 
 
 @inlined
 def go_straight(vehicle: Row, dt: float) -> None:
-    """The same as `way`, whose functions would give 0 and the direction itself."""
+    """The same as `displacement`, whose functions would give 0 and the direction itself."""
     vehicle.x += vehicle.speed * vehicle.direction_x * dt
     vehicle.y += vehicle.speed * vehicle.direction_y * dt
 
@@ -88,27 +88,21 @@ def finish(vehicle: Row, dt: float) -> None:
     vehicle.speed += vehicle.acceleration * dt
 
 
-@inlined
-def way(
-    heading: float, steering: float, speed: float, length: float, dt: float
-) -> tuple[float, float, float]:
-    """How far a vehicle moves along x and y in a step, m, and by what angle it turns, rad."""
-    slip = maths.atan(1 / 2 * maths.tan(steering))
-    sine, cosine = maths.sin_cos(heading + slip)
-    return speed * cosine * dt, speed * sine * dt, speed * maths.sin(slip) / (length / 2) * dt
-
-
 @compiled
 def turn_batch(batch: Row, dt: float) -> None:
-    """Finds `way` for vehicles in a batch, and their next headings and directions."""
+    """Finds how far vehicles in a batch move, and their next headings and directions."""
     for k in range(BATCH):
-        heading, steering = number_of(batch, HEADING, k), number_of(batch, STEERING, k)
-        speed, length = number_of(batch, SPEED, k), number_of(batch, LENGTH, k)
-        x, y, turn = way(heading, steering, speed, length, dt)
-        sine, cosine = maths.sin_cos(heading + turn)
+        heading, slip = (
+            number_of(batch, HEADING, k),
+            slip_of(maths.tan(number_of(batch, STEERING, k))),
+        )
+        speed, half_length = number_of(batch, SPEED, k), number_of(batch, LENGTH, k) / 2
+        x, y = displacement(heading, slip, speed, dt)
+        heading += turn_of(slip, speed, half_length, dt)
+        sine, cosine = maths.sin_cos(heading)
         put(batch, X, k, x)
         put(batch, Y, k, y)
-        put(batch, HEADING, k, heading + turn)
+        put(batch, HEADING, k, heading)
         put(batch, COSINE, k, cosine)
         put(batch, SINE, k, sine)
 

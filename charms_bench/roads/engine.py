@@ -50,7 +50,7 @@ from charms_bench.roads.scenes import (
 from charms_bench.roads.stepping import collide, move_all
 from charms_bench.roads.straightened import Ways, find_way, straighten
 from charms_bench.world.actions import Actions, MetaAction, controls_of
-from charms_bench.world.gaps import gap_to
+from charms_bench.world.gaps import gap_to, is_within, requires_braking
 from charms_bench.world.scene import Scene, SceneSettings, Vehicles
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
@@ -468,8 +468,7 @@ def is_safe(here: Here, i: int, lane: int) -> bool:
         own, other = vehicle_of(here, behind), vehicle_of(here, ahead)
         distance = coordinates_of(here, ahead, lane).s - coordinates_of(here, behind, lane).s
         gap, closing = gap_to(distance, own.length, other.length), own.speed - other.speed
-        if gap < HEADWAY_S * own.speed:
-            return False
-        if closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap:
+        is_close = is_within(gap, own.speed, HEADWAY_S)
+        if is_close or requires_braking(gap, closing, DRAC_LIMIT_MPS2):
             return False
     return True

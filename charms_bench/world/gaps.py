@@ -1,6 +1,7 @@
-"""Distances between two vehicles of their own lengths and widths.
+"""Distances between two vehicles of their own lengths and widths, and how critical they are.
 
-Each is written once: compiled code calls it with numbers, other code with arrays.
+Each is written once: compiled code calls it with numbers, other code with arrays, and metrics with
+columns. Where a formula needs a case, metrics have a second body; a test holds both equal.
 """
 
 from typing import Any
@@ -9,6 +10,9 @@ import numpy as np
 from numba.extending import register_jitable
 
 from charms_bench.foundation.compiled import inlined
+
+SLOWEST_MPS = 1.0
+"""Of the speed in a time headway."""
 
 
 @register_jitable
@@ -40,6 +44,36 @@ def following_distance(distance: Any, overhang: Any, ahead_overhang: Any) -> Any
     between their bumpers, because highway-env's jam distance contains one such length.
     """
     return distance - (overhang + ahead_overhang)
+
+
+@register_jitable
+def is_within(gap: Any, speed: Any, time_s: float) -> Any:
+    """Whether a gap is covered in less than a time at a speed, forwards.
+
+    At the closing speed, that time is the time to collision, and at a vehicle's own speed, the time
+    headway.
+    """
+    return gap < time_s * speed
+
+
+@register_jitable
+def required_braking(gap: Any, closing: Any) -> Any:
+    """The deceleration that just avoids a collision (DRAC), m/s2, if the gap is closing.
+
+    Cooper & Ferguson 1976.
+    """
+    return closing**2 / (2 * gap)
+
+
+@register_jitable
+def requires_braking(gap: Any, closing: Any, limit_mps2: float) -> Any:
+    """Whether `required_braking` is above a limit; without a gap, it is if vehicles close in."""
+    return (closing > 0) & (closing**2 > 2 * limit_mps2 * gap)
+
+
+def time_headway(gap: Any, speed: Any) -> Any:
+    """The time in which a vehicle covers a gap, s, at a speed of at least `SLOWEST_MPS`."""
+    return gap / np.maximum(speed, SLOWEST_MPS)
 
 
 def time_to_collision(gap: Any, closing: Any) -> Any:

@@ -8,6 +8,7 @@ from charms_bench.people.calibrated import Calibration
 from charms_bench.people.held_out import HORIZONS_S, SEED, drawn, starts
 from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.report.figures.drawing import GREY, LINE_STYLES, SERIES, panels, save
+from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats
 
 _RANGES = {"time gap, s": (0.0, 6.0), "acceleration, m/s²": (-2.0, 2.0), "jerk, m/s³": (-1.5, 1.5)}
@@ -54,7 +55,7 @@ def _quantities(gaps: Floats, speeds: Floats) -> tuple[Floats, Floats, Floats]:
     """Time gaps, and accelerations and jerks as means over 1 s, of gaps and speeds (M, n)."""
     speeds, gaps = speeds[:, ::RATE_HZ], gaps[:, ::RATE_HZ]
     acceleration = np.diff(speeds, axis=1)
-    return gaps / np.maximum(speeds, 1.0), acceleration, np.diff(acceleration, axis=1)
+    return time_headway(gaps, speeds), acceleration, np.diff(acceleration, axis=1)
 
 
 def _rank(part: Trip, gaps: Floats, horizon_s: int) -> float:

@@ -1,16 +1,24 @@
-"""IDM in its one place, and the other bodies of its formula, which mean something else."""
+"""Formulas that have a second body, which is for columns or means something else."""
 
 import math
 
 import numpy as np
+import polars as pl
 import pytest
 from charms_agents.training import rewards
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scenes import scene_of
 
 from charms_bench.foundation.compiled import compiled
+from charms_bench.metrics import time_to_collision as of_columns
 from charms_bench.people import car_following
+from charms_bench.world.gaps import (
+    is_within,
+    required_braking,
+    requires_braking,
+    time_to_collision,
+)
 from charms_bench.world.idm_mobil import (
     desired_gap,
     equilibrium_gap,
@@ -71,3 +79,22 @@ def test_the_paper_rewards_its_acceleration_with_a_least_gap(
     found = rewards.expected_acceleration(scene, 0, 1, 0)
     expected = idm(v, w, gap, rewards.IDM_SPEED_MPS, p)
     assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@settings(derandomize=True, deadline=None)
+@given(GAPS, st.floats(-40.0, 40.0), st.floats(0.1, 10.0))
+def test_gaps_are_as_critical_in_columns_and_comparisons_as_in_numbers(
+    gap: float, closing: float, limit: float
+) -> None:
+    columns = pl.DataFrame({"gap": [gap], "closing": [closing]})
+    time = of_columns.time_to_collision(pl.col("gap"), pl.col("closing"))
+    braking = required_braking(pl.col("gap"), pl.col("closing"))
+    time_s, braking_mps2 = columns.select(time=time, braking=braking).row(0)
+    expected = float(time_to_collision(gap, closing))
+    assert (time_s is None and math.isnan(expected)) or time_s == expected
+    assert braking_mps2 == required_braking(gap, closing)
+    # Without a division, the last bit can differ.
+    assume(closing <= 0 or expected != pytest.approx(limit, rel=1e-12))
+    assert is_within(gap, closing, limit) == (expected < limit)
+    assume(braking_mps2 != pytest.approx(limit, rel=1e-12))
+    assert requires_braking(gap, closing, limit) == (closing > 0 and braking_mps2 > limit)
