@@ -19,13 +19,6 @@ from pathlib import Path
 from textwrap import fill
 
 import polars as pl
-from plan_results import (
-    plan_avoidability,
-    plan_conditions,
-    plan_likeness,
-    plan_main,
-    plan_styles,
-)
 from rare_comparison import rare_comparison, rare_estimate
 from reproduction import compared, side_by_side, with_verdicts
 from transfer import transfer_numbers, transfer_table, with_worst
@@ -324,12 +317,6 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "avoidability": ("ego", avoidability),
     "fine-tuning": ("train", fine_tuning),
     "training-time": ("train", training_time),
-    "plan-main": ("seeds-main", plan_main),
-    "plan-conditions": ("seeds-main", plan_conditions),
-    "plan-avoidability": ("seeds-main", plan_avoidability),
-    "plan-likeness": ("seeds-likeness", plan_likeness),
-    "plan-styles": ("seeds-styles", plan_styles),
-    "plan-second-styles": ("seeds-second-styles", plan_styles),
     "rare": ("rare", rare_estimate),
     "rare-comparison": ("rare", rare_comparison),
     "reproduction-ego": ("released-ego", reproduction),

@@ -25,8 +25,8 @@ def packaged(network: str) -> OnnxPolicy:
     if not file.is_file():
         raise ModelError(
             f"the network '{network}' is not in this installation of charms-bench; "
-            "suites/train.yaml or suites/train-baselines.yaml trains it, and the path of the "
-            "trained file is an agent's name"
+            "suites/train.yaml, train-baselines.yaml or train-paper.yaml trains it, and the path "
+            "of the trained file is an agent's name"
         )
     return OnnxPolicy(str(file))
 
@@ -49,6 +49,8 @@ safe_altruistic = partial(packaged, "charms_safe_altruistic")
 """CHARMS, safe and altruistic."""
 best_response = partial(packaged, "best_response")
 """The best response to CHARMS traffic, eq. 13 of the paper."""
+paper = partial(packaged, "charms_paper")
+"""CHARMS, efficient and egoistic, by the settings that the paper states; `charms` has others."""
 imitation = partial(packaged, "imitation")
 """A network that imitates recorded drivers."""
 prior_level_k = partial(packaged, "prior_level_k")
