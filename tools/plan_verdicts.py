@@ -104,6 +104,10 @@ def criteria_table(cells: pl.DataFrame) -> str:
     return table.replace(r"\](", "](") + f"\n{NOTE}"
 
 
+TRIALS = {"at fault": ".2%", "conflicts caused per 1,000 km": ".0f", "speed, m/s": ".2f"}
+"""The means of both traffic models that stand beside the limits that a trial meets."""
+
+
 def trials_table(values: pl.DataFrame) -> str:
     """The trials of the baselines, those first that meet most limits of the main test.
 
@@ -120,12 +124,12 @@ def trials_table(values: pl.DataFrame) -> str:
         means = its.select("crashed_at_fault", CONFLICTS, "speed_mean").mean().row(0)
         met = cells["mean_holds"].drop_nulls()
         records.append({"trial": trial, "limits met": int(met.sum()), "of": len(met)})
-        records[-1] |= dict(zip(("at fault", "conflicts caused", "speed"), means, strict=True))
+        records[-1] |= dict(zip(TRIALS, means, strict=True))
     found = pl.DataFrame(records).sort(
-        pl.col("trial").str.head(3), -pl.col("limits met"), "at fault", -pl.col("speed")
+        pl.col("trial").str.head(3), -pl.col("limits met"), "at fault", -pl.col("speed, m/s")
     )
-    forms = {"limits met": ".0f", "of": ".0f", "at fault": ".2%", "conflicts caused": ".0f"}
-    return markdown(Table.plain(found.to_dicts(), ("trial",), forms | {"speed": ".2f"}))
+    forms = {"limits met": ".0f", "of": ".0f", **TRIALS}
+    return markdown(Table.plain(found.to_dicts(), ("trial",), forms))
 
 
 def _text(criterion: Criterion, number: Number) -> str:

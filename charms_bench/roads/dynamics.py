@@ -92,10 +92,8 @@ def finish(vehicle: Row, dt: float) -> None:
 def turn_batch(batch: Row, dt: float) -> None:
     """Finds how far vehicles in a batch move, and their next headings and directions."""
     for k in range(BATCH):
-        heading, slip = (
-            number_of(batch, HEADING, k),
-            slip_of(maths.tan(number_of(batch, STEERING, k))),
-        )
+        heading = number_of(batch, HEADING, k)
+        slip = slip_of(maths.tan(number_of(batch, STEERING, k)))
         speed, half_length = number_of(batch, SPEED, k), number_of(batch, LENGTH, k) / 2
         x, y = displacement(heading, slip, speed, dt)
         heading += turn_of(slip, speed, half_length, dt)

@@ -67,7 +67,7 @@ def row_modules(
             found[name] = source
             imports = {*imported_modules(source.read_text(encoding="utf-8"))}
             if name == ROADS:  # it imports its environments by their names
-                imports |= {f"{ROADS}.{each.stem}" for each in path.glob("*.py")}
+                imports |= {f"{ROADS}.{each.stem}" for each in path.glob("[!_]*.py")}
             named = {name.rpartition(".")[0] or name, *imports} - seen
             waiting += named
             seen |= named

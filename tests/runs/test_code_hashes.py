@@ -15,6 +15,7 @@ from charms_bench.runs.code_hashes import (
     SOURCES,
     harness_sha256,
     imported_modules,
+    module_blobs,
     row_modules,
 )
 
@@ -57,6 +58,10 @@ def hashed_with_a_change(sources: Path, path: Path, without: str | None = None) 
         return harness_sha256.__wrapped__(sources, without=without)
     finally:
         path.write_bytes(before)
+
+
+def test_modules_are_named_as_a_manifest_names_them() -> None:
+    assert row_modules().keys() <= module_blobs().keys()
 
 
 def test_changing_any_module_that_decides_rows_changes_the_key(copied: Path) -> None:
