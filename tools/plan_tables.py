@@ -164,14 +164,15 @@ def trainings(networks: Path) -> dict[str, pl.DataFrame]:
         manifest = json.loads(path.read_text(encoding="utf-8"))
         of_ego = network in ("people", "level_1", EGO.removeprefix("charms_"), EGO)
         is_named = network in (*ALGORITHMS, *ABLATIONS, "paper")
+        stages = path.parent / "trainings" / network / "stages.csv"  # those before it, too
+        cpu_s = pl.read_csv(stages)["cpu_s"].sum() if stages.exists() else manifest["cpu_s"]
         records.append(
             {
                 "network": network,
                 "seed": seed,
                 "command": network if is_named else "ego" if of_ego else "styles",
                 "onnx_sha256": manifest["onnx_sha256"],
-                "commit": manifest.get("commit"),
-                "CPU minutes": manifest["cpu_s"] / 60,
+                "CPU minutes": cpu_s / 60,
             }
         )
         labels = pl.lit(seed).alias("seed"), pl.lit(network).alias("network")
@@ -179,14 +180,18 @@ def trainings(networks: Path) -> dict[str, pl.DataFrame]:
         curves.append(curve.select(*labels, *(each for each in CURVE if each in curve.columns)))
     if not records:
         return {}
-    found = pl.DataFrame(records, infer_schema_length=None)
+    found = pl.DataFrame(records, infer_schema_length=None).with_columns(
+        pl.col("CPU minutes").round(2)
+    )
     return {"trainings": found, "curves": pl.concat(curves, how="diagonal_relaxed")}
 
 
 def plan_trainings(frames: Frames) -> str:
     """How many seeds each network was trained with, by which command, and for how long."""
-    found = frames["trainings"].group_by("network", "command").agg(
-        pl.col("seed").count().alias("seeds"), pl.col("CPU minutes").mean()
+    found = (
+        frames["trainings"]
+        .group_by("network", "command")
+        .agg(pl.col("seed").count().alias("seeds"), pl.col("CPU minutes").mean())
     )
     rows = found.sort("network").with_columns(pl.format("`{}`", "command").alias("command"))
     forms = {"seeds": ".0f", "CPU minutes": ".1f"}

@@ -42,6 +42,8 @@ Z_95 = 1.96
 """Standard errors from a value to the ends of its 95 % interval."""
 SOURCES = {"released": "authors' networks", "ours": "this project"}
 """The columns of values, by the beginning of the names of their columns in the CSV file."""
+BY_PAPER = " by the paper"
+"""The label of an agent by the paper's settings, which stands for the one with the other label."""
 
 
 def compared(released: Path, ours: Path) -> pl.DataFrame:
@@ -68,7 +70,11 @@ def compared(released: Path, ours: Path) -> pl.DataFrame:
         .select(varied, "metric", "paper", pl.col("value", "low", "high").name.prefix(f"{source}_"))
         for run, suite, source in zip((released, ours), suites, SOURCES, strict=True)
     ]
-    both = frames[0].join(frames[1].drop("paper"), on=[varied, "metric"], how="left")
+    by_paper = frames[1].filter(pl.col(varied).str.ends_with(BY_PAPER))
+    renamed = by_paper.with_columns(pl.col(varied).str.strip_suffix(BY_PAPER))
+    others = frames[1].join(renamed, on=varied, how="anti")
+    made = pl.concat([others, renamed]).drop("paper")
+    both = frames[0].join(made, on=[varied, "metric"], how="left")
     orders = {varied: list(dict.fromkeys(frames[0][varied])), "metric": list(METRICS)}
     return both.sort(
         pl.col(column).replace_strict(order, range(len(order))) for column, order in orders.items()

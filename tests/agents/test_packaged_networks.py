@@ -69,8 +69,13 @@ def hash_of(suite: str, name: str) -> str:
 
 def test_the_package_has_the_networks_of_its_agents_alone() -> None:
     styles = {"charms_{}_{}".format(*style) for style in STYLES.values()}
-    others = {"best_response", "imitation", "prior_level_k", "prior_level_k_safe"}
+    others = {"best_response", "charms_paper", "imitation", "prior_level_k", "prior_level_k_safe"}
     assert set(PACKAGED) == styles | others
+
+
+def test_the_paper_has_one_of_the_networks_of_the_plan() -> None:
+    table = pl.read_csv(HASHES).filter(network="paper", seed=3010)
+    assert table["onnx_sha256"].item() == sha256(POLICIES / "charms_paper.onnx")
 
 
 def test_only_styles_before_fine_tuning_are_not_kept() -> None:
@@ -138,10 +143,12 @@ def test_learning_from_people_made_each_decide_more_like_them(suite: str, name: 
 
 
 @pytest.mark.parametrize(
-    "agent", ["imitation", "prior_level_k", "prior_level_k_safe", "charms-best-response", *STYLES]
-)
+    "agent",
+    ["imitation", "prior_level_k", "prior_level_k_safe", "charms-best-response", "charms-paper",
+     *STYLES],
+)  # fmt: skip
 def test_each_agent_is_its_packaged_network(agent: str) -> None:
-    stage = agent.removeprefix("charms-").replace("-", "_")
+    stage = {"charms-best-response": "best_response"}.get(agent, agent.replace("-", "_"))
     if agent in STYLES:
         stage = "charms_{}_{}".format(*STYLES[agent])
     made = make_agent(agent)

@@ -46,12 +46,12 @@ NOT_RUN = {
     "recordings that are not public",
     "charms-bench likeness suites/likeness.yaml RECORDINGS --population my-road.json "
     "--figure likeness.png": "takes minutes, and recordings that are not public",
-    "charms-bench likeness suites/seeds/likeness.yaml i24_car_following.parquet --population i24 "
+    "charms-bench likeness runs/plan/validation.yaml i24_car_following.parquet --population i24 "
     "--half selection": "takes minutes, and recordings that are not in the project",
     "python mine.py": "tests/agents/test_your_policy.py trains it",
     "charms-bench export mine.zip mine.onnx": "it is not trained here",
-    "charms-bench run ego --agent mine.onnx --agent CHECKOUT/networks/seed-1011/ppo.onnx "
-    "--agent CHECKOUT/networks/seed-1011/dqn.onnx": "it is not trained here",
+    "charms-bench run ego --agent mine.onnx --agent CHECKOUT/networks/seed-3012/ppo.onnx "
+    "--agent CHECKOUT/networks/seed-3012/dqn.onnx": "it is not trained here",
 }
 """Commands that are not run here, with the reason."""
 SHORTENED = [

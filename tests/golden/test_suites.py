@@ -9,7 +9,6 @@ from rows.cells import PROJECT, rows_of
 DATA = Path(__file__).parent / "rows" / "data" / "suites"
 SUITES = [path.relative_to(DATA).with_suffix("").as_posix() for path in sorted(DATA.rglob("*.csv"))]
 EVERY = {
-    **{name: 15 for name in SUITES if name.startswith("seeds/")},  # networks of the same kinds
     "realism": 5,  # those of `environment`
     "roads": 4,
     "transfer/traffics": 3,

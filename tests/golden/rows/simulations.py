@@ -122,7 +122,7 @@ def continuous_planner(folder: Path) -> Values:
     return followed(simulation_of(scene, "own", OneAgent("idm_mobil"), 3, own=Planning()))
 
 
-POPULATIONS = ("i24", "i75", str(PROJECT / "suites" / "seeds" / "idm-mobil-i75.json"))
+POPULATIONS = ("i24", "i75", str(Path(__file__).with_name("idm-mobil-i75.json")))
 for population in POPULATIONS:
 
     @case(f"human drivers of {Path(population).stem}")

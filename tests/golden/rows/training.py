@@ -25,8 +25,6 @@ KINDS = {
     ),
     "train-baselines": ("level_1", "prior_level_k", "imitation"),
     "train-paper": ("level_1", "efficient_prosocial", "charms_efficient_prosocial", "imitation"),
-    "train-papers-interface": ("level_1", "efficient_egoistic", "charms_efficient_egoistic"),
-    "train-styles": ("efficient_egoistic", "efficient_altruistic", "charms_efficient_altruistic"),
 }  # fmt: skip
 """A stage of each kind, by training suite."""
 
@@ -73,11 +71,13 @@ def trained_here(suite_name: str, name: str, folder: Path) -> str:
 
 def network_of(suite: str, stage: str, ending: str) -> Path:
     """Returns a file of a finished stage, from which others start or which drives among them."""
-    if suite not in ("train-paper", "train-baselines"):
-        return PROJECT / "networks" / "seed-1011" / f"{stage}{ending}"
+    packaged = PROJECT / "agents" / "charms_agents" / "policies"
+    if suite == "train":
+        kept = PROJECT / "networks" / "seed-3012" / f"{stage}{ending}"
+        return kept if kept.exists() else packaged / kept.name
     if stage == "level_1":
         return PROJECT / "networks" / "baselines" / f"level_1{ending}"
-    return PROJECT / "agents" / "charms_agents" / "policies" / f"prior_level_k{ending}"
+    return packaged / f"prior_level_k{ending}"
 
 
 CASES = {
