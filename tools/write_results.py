@@ -111,7 +111,9 @@ def readme(run: Path) -> str:
     rows = tuple(row for row in table.rows if row.labels != (NOT_IN_README,))
     dense = shown(tables_of(run.parent / DENSE).metrics, CRASHED)
     crashed = {row.labels: cell.value for row, (cell,) in written(dense)}
-    listed = ", ".join(f"{row.labels[0]} {crashed[row.labels]}" for row in rows)
+    listed = ", ".join(
+        f"{row.labels[0]} {crashed[row.labels]}" for row in rows if row.labels in crashed
+    )
     words = f"At twice the density, these proportions of the episodes end in a crash: {listed}."
     return f"{markdown(replace(table, rows=rows))}\n{fill(words, 100)}\n"
 
