@@ -203,7 +203,7 @@ CRITERIA = (
         "above constant velocity and above PPO, intervals apart", "that of calibrated drivers",
     ),
     Criterion(
-        "style statements, Holm over all",
+        "style statements below, Holm over all",
         "hold", "", "p", _statements, frame="styles",
     ),
     Criterion(

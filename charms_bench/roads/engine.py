@@ -185,6 +185,7 @@ class RoadEngine(Shown):
             vars(self).pop("_shown_views", None)
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
+        self._show(rows[self._moved[rows]])  # which finds the ways, a part of the state
         kept = (array[rows].astype(packed(array.dtype)) for array in self._kept)
         each = [array.reshape(rows.size, math.prod(array.shape[1:])) for array in kept]
         return np.concatenate([array.view(np.uint8) for array in each], axis=1)

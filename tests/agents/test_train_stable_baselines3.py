@@ -21,7 +21,7 @@ from charms_bench.engine.endings import TIME
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
-from charms_bench.world.actions import with_speed_steps
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction, with_speed_steps
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
@@ -32,7 +32,14 @@ finally:
 
 SUITE = load_training(ROOT / "suites/train.yaml")
 STAGE = SUITE.stages["level_1"].model_copy(update={"prior": None})
-SCENES = 10
+ACTIONS = with_speed_steps(
+    0.25,
+    0.5,
+    1.0,
+    2.0,
+    actions=(*DEFAULT_ACTIONS, MetaAction("BRAKE", speed_from_present_mps=-6.0)),
+)
+SCENES = 25
 """One for each condition of the stage."""
 
 
@@ -45,7 +52,7 @@ def test_the_first_condition_has_the_observations_of_its_own_environment(
     conditions: tool.Conditions,
 ) -> None:
     scene, traffic = SUITE.places_of(STAGE)[0]
-    reward = STAGE.reward_of(SUITE.weights["safe"])
+    reward = STAGE.reward_of(SUITE.weights["level_1"])
     agents, seed = {"human": make_agent("human")}, SUITE.first_episode_seed
     alone = HighwayVectorEnv(scene, 1, traffic, agents, reward, seed, SUITE.observed)
     plain = torch.from_numpy(alone.reset()[0].reshape(1, -1))
@@ -86,9 +93,9 @@ def with_prior(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a seed, with an untrained network as its prior."""
     folder = tmp_path_factory.mktemp("seed")
     rows, columns = SUITE.observed.shape
-    network = folded(untrained((64, 64), 5, rows * columns))
+    network = folded(untrained((64, 64), 5, rows * columns, len(ACTIONS)))
     seen = np.random.default_rng(1).uniform(-1, 1, (20, rows, columns)).astype(np.float32)
-    export(network, folder / "people.onnx", {}, seen, SUITE.observed)
+    export(network, folder / "people.onnx", {}, seen, SUITE.observed, actions=ACTIONS)
     return folder
 
 
@@ -111,7 +118,7 @@ def test_rewards_are_less_by_lambda_per_nat_where_people_would_seldom_do_the_sam
 def test_a_finished_seed_has_a_network_with_the_speed_steps_of_the_stage(with_prior: Path) -> None:
     suite = load_training(ROOT / "suites/train.yaml", seed=7, steps=1000)
     tool.train(suite, "level_1", "dqn", "charms", with_prior)
-    assert OnnxPolicy(with_prior / "dqn.onnx").actions == with_speed_steps(0.25, 0.5, 1.0, 2.0)
+    assert OnnxPolicy(with_prior / "dqn.onnx").actions == ACTIONS
     manifest = json.loads((with_prior / "dqn.json").read_text())
     assert (manifest["seed"], manifest["steps"]) == (7, 1000)
     assert len(manifest["conditions"]) == SCENES

@@ -86,7 +86,7 @@ def short_training(suites: Path) -> None:
     for path in suites.glob("train*.yaml"):
         text = path.read_text(encoding="utf-8")
         for key, value in {"steps": 400, "learning_starts": 200, "curve_steps": 100, "epochs": 1,
-                           "replay_buffer": 500, "scenes": 20, "episodes": 2,
+                           "replay_buffer": 500, "scenes": 25, "episodes": 2,
                            "steps_per_gradient_step": 5}.items():  # fmt: skip
             text = re.sub(rf"\b{key}: [\d_]+", f"{key}: {value}", text)
         path.write_text(text, encoding="utf-8")

@@ -317,7 +317,7 @@ def test_vehicles_of_agents_reverse_only_if_those_of_the_profile_do(
 
 
 def test_the_vehicle_on_the_ramp_merges_whoever_drives_it() -> None:
-    made = simulation("merge-v0", "idm_mobil", 20, OneAgent("charms"), duration_s=15.0)
+    made = simulation("merge-v0", "idm_mobil", 20, OneAgent("stackelberg"), duration_s=15.0)
     ramp = on_network(made)["lane"][:, 4].copy()
     while made.scene.active.any():
         made.step()

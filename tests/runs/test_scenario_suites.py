@@ -281,14 +281,14 @@ def test_a_failure_among_agents_that_draw_is_one_in_its_own_episode(tmp_path: Pa
 def test_every_failure_of_the_project_cut_in_is_one_again_and_only_once(tmp_path: Path) -> None:
     found = tmp_path / "search" / "found.yaml"
     suite = Path(__file__).parents[2] / "suites" / "r157.yaml"
-    made = charms_bench.search(suite, "CHARMS", "Cut-in", found.parent, failures=5)
+    made = charms_bench.search(suite, "Imitation Learning", "Cut-in", found.parent, failures=5)
     points = [tuple(point.values()) for point in made.failures]
     assert len(points) == len(set(points)) == 5
     run = charms_bench.run(found, tmp_path / "run", workers=1)
     table = run.tables["found-preventable"]
-    (charms,) = (each for each in table.records() if each["agent"] == "CHARMS")
+    (ego,) = (each for each in table.records() if each["agent"] == "Imitation Learning")
     # Each is preventable by one of the two careful drivers, or by both.
-    assert (charms["crashed"], charms["not_preventable"]) == (1.0, 0.0)
+    assert (ego["crashed"], ego["not_preventable"]) == (1.0, 0.0)
 
 
 def test_a_search_says_under_which_rule_a_failure_is_preventable(tmp_path: Path) -> None:
