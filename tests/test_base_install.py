@@ -49,8 +49,9 @@ def charms_bench(environment: dict[str, str], *arguments: str) -> str:
 def test_the_ego_suite_runs_with_every_row(without_torch: dict[str, str], tmp_path: Path) -> None:
     options = ["--episodes", "6", "--json", "--output", str(tmp_path / "run")]
     rows = json.loads(charms_bench(without_torch, "run", str(SUITE), *options))
-    learnt = {"Imitation Learning", "Prior Level-k", "CHARMS", "CHARMS best response"}
-    assert {row["agent"] for row in rows} == {"IDM+MOBIL", "Stackelberg"} | learnt
+    learnt = {"Imitation Learning", "Prior Level-k"}
+    charms = {"CHARMS by the paper", "CHARMS", "CHARMS best response"}
+    assert {row["agent"] for row in rows} == {"IDM+MOBIL", "Stackelberg"} | learnt | charms
 
 
 def test_every_agent_of_the_project_can_be_made(without_torch: dict[str, str]) -> None:
