@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.stepping import BeforeMove
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions, MetaAction
+from charms_bench.world.plan import Plan
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
 EngineName = Literal["batched", "highway-env"]
@@ -74,6 +75,9 @@ class Engine(Protocol):
         On a road, `saved` is what the method of that name returned. The neighbours and all other
         arrays that follow from positions and headings are found.
         """
+
+    def plan(self, row: int) -> Plan | None:
+        """Where the vehicles of a scene are on its road, for pictures; None if it is straight."""
 
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
         """The scenes as M vehicles see them, read-only, and these vehicles there."""

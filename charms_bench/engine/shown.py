@@ -3,6 +3,7 @@
 from functools import cached_property
 from typing import Any
 
+from charms_bench.world.plan import Plan
 from charms_bench.world.scene import Scene
 
 
@@ -13,6 +14,10 @@ class Shown:
     """
 
     scene: Scene
+
+    def plan(self, row: int) -> Plan | None:
+        """None, since the road is straight."""
+        return None
 
     @cached_property
     def _shown(self) -> Scene:

@@ -84,7 +84,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
             (0,),
             around,
             agents,
-            reward or reward_of(actions),
+            reward or reward_of(actions, settings),
             observation_of(observation),
             render_mode,
             actions=actions,
@@ -140,12 +140,12 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         """
         if self.simulation.ending[0] != RUNNING:
             raise ResetNeeded("step after the end of the episode; reset starts the next one")
-        reward = float(self._learners.step(array_of(action)[None]).rewards[0])
-        failed, truncated = bool(self.simulation.failed[0]), bool(self.simulation.truncated[0])
-        info = self._mask()
-        if failed or truncated:
+        outcome = self._learners.step(array_of(action)[None])
+        reward, terminated = float(outcome.rewards[0]), bool(outcome.terminated[0])
+        truncated, info = bool(outcome.truncated[0]), self._mask()
+        if terminated or truncated:
             info["ending"] = ENDINGS[self.simulation.ending[0]]
-        return self._observe(), reward, failed, truncated, info
+        return self._observe(), reward, terminated, truncated, info
 
     def action_masks(self) -> Bools:
         """The ego's action mask (A,), as sb3-contrib's `MaskablePPO` asks for it."""
@@ -205,7 +205,7 @@ def ego_vector_env(
         num_envs,
         around,
         agents,
-        reward or reward_of(actions),
+        reward or reward_of(actions, settings),
         first_seed,
         observation_of(observation),
         actions,
@@ -216,9 +216,10 @@ def ego_vector_env(
     )
 
 
-def reward_of(actions: GivenLike) -> Reward[Any]:
-    """The default reward of actions."""
-    return ProgressReward() if actions == "continuous" else HighwayReward()
+def reward_of(actions: GivenLike, settings: SceneSettings) -> Reward[Any]:
+    """The default reward of actions in some scenes."""
+    is_progress = actions == "continuous" or settings.network is not None
+    return ProgressReward() if is_progress else HighwayReward()
 
 
 def surroundings(
@@ -235,10 +236,11 @@ def surroundings(
         settings = scene_of(plain)
         if isinstance(traffic, Mapping) and {*traffic} & {*TrafficSpec.model_fields}:
             spec = TrafficSpec.model_validate(traffic)
-            if spec.road is not None:
-                known = f"`charms_bench/{spec.road}`, as in highway-env"
-                raise InputError(f"{environment}: a road is an environment of its own, {known}")
             settings, traffic = settings.of_scenario(spec.scenario), spec.make()
+            if spec.road is not None:
+                from charms_bench.roads.settings import on_road  # slow to import
+
+                settings = on_road(settings, spec.road)
     except ValidationError as error:
         raise InputError(f"{environment}: {problem_in(error)}") from error
     return settings, *made_traffic(traffic)

@@ -20,8 +20,9 @@ from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError, ScenarioError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
+from charms_bench.roads import engine_on
 from charms_bench.world.action_mask import ActionMasks, action_masks
-from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, meta_actions_of
+from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, ActionsLike, meta_actions_of
 from charms_bench.world.observations import Observation, neighbours
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
@@ -111,8 +112,11 @@ class Learners:
             driven = OneAgent("")
         like = self.actions.like
         self._title = title
+        _check_road(settings, agents, like, len(self.numbers), title)
         with self._placing():
-            self.simulation = Simulation(settings, scenes, None, driven, agents, actions=like)
+            self.simulation = Simulation(
+                settings, scenes, None, driven, agents, engine_on(settings), like
+            )
         self.returns = np.zeros(self.scene_of.size)
         """(B L,) sums of the rewards so far."""
         self._are_egos = len(self.numbers) == 1
@@ -256,7 +260,7 @@ class Learners:
             rewards = of_all
             self._alive = drove & (endings == RUNNING)
         self.returns += rewards
-        # The endings after TIME are failures.
+        # The endings after TIME are failures, and the goal of a road.
         return Outcome(rewards, endings > TIME, endings == TIME, endings)
 
     def _endings(self, vehicles: Vehicles) -> Ints:
@@ -286,6 +290,29 @@ class FromOutside(Traffic):
         names = np.array(assigned(self._traffic, rng, scenes, vehicles))
         names[:, self._driven] = ""
         return names
+
+
+def _check_road(
+    settings: SceneSettings,
+    agents: Mapping[str, Agent],
+    like: ActionsLike,
+    learners: int,
+    title: str,
+) -> None:
+    """Raises an `InputError` if a road cannot be driven by the ego's actions or by the traffic."""
+    if settings.network is None:
+        return
+    from charms_bench.roads.settings import problem_of_actions, problem_of_driver  # slow to import
+
+    if learners > 1:
+        settings.check_straight(f"{title}: several learners need")
+    if what := problem_of_actions(like, settings):
+        raise InputError(f"{title}: actions: on the road '{settings.network}': {what}")
+    for name, agent in agents.items():
+        if what := problem_of_driver(agent, settings, is_ego=False):
+            raise InputError(
+                f"{title}: agent '{name}' cannot drive on the road '{settings.network}': {what}"
+            )
 
 
 def _checked(numbers: Iterable[int], vehicles: int) -> tuple[int, ...]:

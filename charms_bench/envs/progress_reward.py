@@ -1,4 +1,4 @@
-"""Progress along the road, which is the default reward of continuous actions.
+"""Progress along the road, which is the default reward of continuous actions and on other roads.
 
 highway-env's reward pays for not crashing, and for the speed at the moment of a decision. A vehicle
 with continuous actions earns it by driving in circles or by standing still (highway-env's issues
@@ -7,6 +7,7 @@ with continuous actions earns it by driving in circles or by standing still (hig
 
 import numpy as np
 
+from charms_bench.engine.endings import GOAL
 from charms_bench.engine.simulation import Simulation
 from charms_bench.world.actions import Actions
 from charms_bench.world.scene import Bools, Floats
@@ -37,7 +38,11 @@ def progress_reward(
 
 
 class ProgressReward:
-    """`progress_reward` for the egos of a simulation."""
+    """`progress_reward` for the egos of a simulation.
+
+    An ego that reaches the goal of its road also earns 1 for each decision that is left. So nothing
+    earns more than to reach it, however long the way is.
+    """
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Floats:
         """The egos' positions along the road (B,)."""
@@ -45,9 +50,11 @@ class ProgressReward:
 
     def __call__(self, simulation: Simulation, prepared: Floats) -> Floats:
         """The rewards (B,) of the decisions."""
-        return progress_reward(
+        left = simulation.settings.decisions - simulation.steps
+        rewards = progress_reward(
             progress_m=simulation.scene.x[simulation.ego_vehicles] - prepared,
             interval_s=1 / simulation.settings.decision_hz,
             failed=simulation.failed,
             off_road=simulation.is_off_road,
         )
+        return np.where(simulation.ending == GOAL, rewards + left, rewards)

@@ -121,6 +121,7 @@ def moment_of(simulation: Simulation, row: int, title: str) -> "Moment":
         action=simulation.named_actions[row],
         action_names=simulation.action_names,
         has_action=simulation.has_action[row],
+        plan=simulation.engine.plan(row),
         gap_ahead=gap,
         ttc=ttc,
         **{name: getattr(scene, name)[row] for name in ("present", "length", "width", *STATE)},

@@ -167,7 +167,7 @@ def _simulated(
     simulation = recorded.simulation(len(shard))
     simulation.reset(np.array(shard, dtype=np.uint64))
     recording, observation = Recording(simulation), observation_of(policy.observation)
-    reward: Reward[Any] = reward_of(policy.actions)
+    reward: Reward[Any] = reward_of(policy.actions, simulation.settings)
     egos = simulation.ego_vehicles
     observed = [observation(simulation.scene, egos)]
     taken, gained = [], []

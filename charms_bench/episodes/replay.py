@@ -19,7 +19,7 @@ from charms_bench.plugins.registry import make_agent
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.plan import OF_VEHICLES, Plan, lines_of
+from charms_bench.world.plan import OF_VEHICLES, Plan, plan_over_time
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import VACANT_X_M, Floats, Ints, SceneSettings
 from charms_bench.world.tracks import Motion
@@ -256,29 +256,18 @@ class _Plans:
 
     def __init__(self, simulation: Simulation, scenes: Sequence[int]) -> None:
         self._scenes, self._of_scenes = scenes, [list[Plan]() for _ in scenes]
-        self._on_road, self._lines = None, None
-        if simulation.settings.network is not None:
-            from charms_bench.roads.engine import RoadEngine
-
-            assert isinstance(simulation.engine, RoadEngine)
-            self._on_road = simulation.engine.episodes.scenes
-            self._lines = lines_of(self._on_road.road)
+        self._simulation = simulation
 
     def note(self) -> None:
         """Keeps the present moment."""
-        if self._on_road is not None and self._lines is not None:
-            from charms_bench.roads.plan import plan_of
-
-            for plans, b in zip(self._of_scenes, self._scenes, strict=True):
-                plans.append(plan_of(self._lines, self._on_road, b))
+        for plans, b in zip(self._of_scenes, self._scenes, strict=True):
+            if (plan := self._simulation.engine.plan(b)) is not None:
+                plans.append(plan)
 
     def of(self, place: int, length: int) -> Plan | None:
         """The plan of the first moments of one of the scenes."""
-        if self._lines is None:
-            return None
-        from charms_bench.roads.plan import plan_over_time
-
-        return plan_over_time(self._of_scenes[place][:length])
+        plans = self._of_scenes[place][:length]
+        return plan_over_time(plans) if plans else None
 
 
 def _frame(simulation: Simulation, scenes: Sequence[int]) -> dict[str, Any]:

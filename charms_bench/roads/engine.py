@@ -35,6 +35,7 @@ from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.locating import coordinates_of, forget
 from charms_bench.roads.order import neighbours
+from charms_bench.roads.plan import plan_of
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
@@ -51,6 +52,7 @@ from charms_bench.roads.stepping import collide, move_all
 from charms_bench.roads.straightened import Ways, find_way, straighten
 from charms_bench.world.actions import Actions, MetaAction, controls_of
 from charms_bench.world.gaps import gap_to, is_within, requires_braking
+from charms_bench.world.plan import Lines, Plan, lines_of
 from charms_bench.world.scene import Scene, SceneSettings, Vehicles
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
@@ -217,6 +219,14 @@ class RoadEngine(Shown):
         own = (scenes.vehicles[name] for name in _NETWORK_ONLY)
         counted = scenes.order, scenes.time, scenes.steps, self._entries.table, self.goals
         return (*own, *counted, *self._ways)
+
+    def plan(self, row: int) -> Plan:
+        """Where the vehicles of a scene are on its network, for pictures."""
+        return plan_of(self._lines, self.episodes.scenes, row)
+
+    @cached_property
+    def _lines(self) -> Lines:
+        return lines_of(self.episodes.scenes.road)
 
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
         rows, places = vehicles

@@ -1,7 +1,5 @@
 """Where the vehicles of an episode are on the network, for pictures."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from charms_bench.roads.scenes import LANDMARK, NOTHING, OBSTACLE, Scenes
@@ -17,10 +15,3 @@ def plan_of(lines: Lines, scenes: Scenes, b: int) -> Plan:
         is_obstacle=np.isin(vehicles["kind"], (LANDMARK, OBSTACLE)),
         **{name: vehicles[name].copy() for name in OF_VEHICLES[1:]},
     )
-
-
-def plan_over_time(plans: Sequence[Plan]) -> Plan:
-    """The plan of all moments, from the plan of each."""
-    names = ("is_obstacle", *OF_VEHICLES)
-    stacked = {name: np.stack([getattr(plan, name) for plan in plans]) for name in names}
-    return Plan(plans[0].lines, **stacked)

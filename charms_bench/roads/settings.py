@@ -10,7 +10,7 @@ from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.roads import OF_SUITES
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.scenes import OBSTACLE
-from charms_bench.world.actions import meta_actions_of
+from charms_bench.world.actions import ActionsLike, meta_actions_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import SceneSettings
@@ -66,11 +66,6 @@ def on_road(settings: SceneSettings, name: str) -> SceneSettings:
 
 def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True) -> str:
     """Why an agent cannot drive the ego, or other vehicles, on a road; empty if it can."""
-    assert settings.network is not None
-    road, least = _road(settings.network), settings.profile.target_speed_min_mps
-    speed, whose = road.ego_speed, "the ego starts at"
-    if not is_ego:
-        speed, whose = road.others_speed, "the slowest vehicle wants"
     if isinstance(agent, DriverModel):
         return ""
     if agent.rollouts_with:
@@ -81,7 +76,17 @@ def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True
             "the target speeds of the environment that it was trained in; its row would be of "
             "another task"
         )
-    if meta_actions_of(agent.actions) and speed < least:
+    return problem_of_actions(agent.actions, settings, is_ego)
+
+
+def problem_of_actions(actions: ActionsLike, settings: SceneSettings, is_ego: bool = True) -> str:
+    """Why a road cannot be driven with these actions; empty if it can."""
+    assert settings.network is not None
+    road, least = _road(settings.network), settings.profile.target_speed_min_mps
+    speed, whose = road.ego_speed, "the ego starts at"
+    if not is_ego:
+        speed, whose = road.others_speed, "the slowest vehicle wants"
+    if meta_actions_of(actions) and speed < least:
         return (
             f"it commands target speeds from {least:g} m/s, and {whose} {speed:.3g} m/s; "
             "see scene.profile.target_speed_min_mps"

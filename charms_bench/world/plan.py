@@ -1,5 +1,6 @@
 """A network of lanes from above, and where vehicles are on it, for pictures."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,3 +81,10 @@ class Plan:
         """The plan at one moment of several."""
         names = ("is_obstacle", *OF_VEHICLES)
         return replace(self, **{name: getattr(self, name)[frame] for name in names})
+
+
+def plan_over_time(plans: Sequence[Plan]) -> Plan:
+    """The plan of all moments, from the plan of each."""
+    names = ("is_obstacle", *OF_VEHICLES)
+    stacked = {name: np.stack([getattr(plan, name) for plan in plans]) for name in names}
+    return Plan(plans[0].lines, **stacked)
