@@ -1,9 +1,8 @@
 """How well traffic models find faults: `python tools/mutants.py RUN`, a run of suites/mutants.yaml.
 
 Writes the tables of docs/mutants.md, which says what the numbers are, and the severity of every
-driver in every traffic model to `docs/results/mutants.csv`. With several runs, of other episodes or
-of parts of the suite, it writes nothing, and prints by how many standard errors each driver exceeds
-the one without a fault in each run.
+driver in every traffic model to `docs/results/mutants.csv`. With several runs, of other episodes,
+it writes the tables of the repetitions.
 """
 
 import re
@@ -14,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
+from plan_seeds import mean_of
 from write_results import RESULTS, ROOT, filled
 
 from charms_bench.episodes.avoidability import avoidability, collisions
@@ -92,14 +92,9 @@ def episodes_until_ordered(
 
 def found(severity: Floats) -> Bools:
     """[D - 1] of severities [E, D]: which drivers are worse than the first one, beyond chance."""
-    return np.asarray(excess(severity) > FOUND)
-
-
-def excess(severity: Floats) -> Floats:
-    """[D - 1] of severities [E, D]: mean excess over the first driver, in standard errors."""
     difference = severity[:, 1:] - severity[:, :1]
     error = difference.std(axis=0, ddof=1) / np.sqrt(len(difference))
-    return np.asarray(difference.mean(axis=0) / np.maximum(error, 1e-12))
+    return np.asarray(difference.mean(axis=0) / np.maximum(error, 1e-12) > FOUND)
 
 
 def of_traffic(run: FinishedRun, cells: Sequence[int]) -> Driven:
@@ -231,21 +226,30 @@ def summary(
 
 def _table(records: Sequence[dict[str, Any]], keys: int) -> Table:
     names = list(records[0])
-    forms = {name: ",.0f" if "per" in name else ".2f" for name in names[keys:]}
+    forms = {name: ",.0f" if "per" in name or "mean" in name else ".2f" for name in names[keys:]}
     return Table.plain(records, tuple(names[:keys]), forms)
+
+
+def titles_of(run: FinishedRun) -> tuple[list[str], dict[str, Sequence[int]]]:
+    """The drivers, and the places of those of each ladder of faults."""
+    egos = [ego.title for ego in run.suite.egos]
+    return egos, {
+        name: [0, *(k for k, ego in enumerate(egos) if ego.startswith(name))] for name in LADDERS
+    }
+
+
+def cells_of(run: FinishedRun) -> dict[str, list[int]]:
+    """The cells of each traffic model."""
+    return {
+        entry.title: [k for k, each in enumerate(run.suite.cells) if each.traffic == entry]
+        for entry in run.suite.traffics
+    }
 
 
 def main(folder: Path) -> None:
     """Writes the tables and the severities."""
     run = open_finished(folder)
-    egos = [ego.title for ego in run.suite.egos]
-    ladders: dict[str, Sequence[int]] = {
-        name: [0, *(k for k, ego in enumerate(egos) if ego.startswith(name))] for name in LADDERS
-    }
-    cells = {
-        entry.title: [k for k, each in enumerate(run.suite.cells) if each.traffic == entry]
-        for entry in run.suite.traffics
-    }
+    (egos, ladders), cells = titles_of(run), cells_of(run)
     traffics = {title: of_traffic(run, places) for title, places in cells.items()}
     searched = {title: avoidable(run, places) for title, places in cells.items()}
     rows: list[dict[str, Any]] = []
@@ -277,16 +281,38 @@ def main(folder: Path) -> None:
     page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
-def print_excess(folders: Sequence[Path]) -> None:
-    """Prints the excess of each faulty driver in each traffic model, a line for each run."""
-    for folder in folders:
-        run = open_finished(folder)
-        titles = [ego.title for ego in run.suite.egos[1:]]
-        for entry in run.suite.traffics:
-            cells = [k for k, each in enumerate(run.suite.cells) if each.traffic == entry]
-            values = zip(titles, excess(of_traffic(run, cells).severity), strict=True)
-            shown = ", ".join(f"{title} {value:.1f}" for title, value in values)
-            print(f"{entry.title}, episodes from {run.suite.seed}: {shown}")
+def repeat(folders: Sequence[Path]) -> None:
+    """Writes what several runs of the suite, with other episodes, say of each traffic model."""
+    km: dict[str, list[float]] = {}
+    faults: dict[str, dict[str, int]] = {}
+    finds: dict[str, list[str]] = {}
+    for run in map(open_finished, folders):
+        rng = np.random.default_rng(731_550_000)
+        egos, ladders = titles_of(run)
+        for traffic, cells in cells_of(run).items():
+            driven = of_traffic(run, cells)
+            needed = episodes_until_ordered(driven.severity, list(ladders.values()), rng)[-1]
+            is_ordered = needed <= len(driven.severity)
+            distance_km = float(needed * driven.distance_km.mean()) if is_ordered else np.inf
+            km.setdefault(traffic, []).append(distance_km)
+            is_found = found(driven.severity)
+            finds.setdefault(traffic, []).append(str(is_found.sum()))
+            counts = faults.setdefault(traffic, dict.fromkeys(egos[1:], 0))
+            for ego, each in zip(egos[1:], is_found, strict=True):
+                counts[ego] += int(each)
+    whole = []
+    for traffic, each in km.items():
+        shown = ", ".join(f"{n:,.0f}" if n < np.inf else "not" for n in each)
+        mean = mean_of(np.array(each)) if max(each) < np.inf else Number(None)
+        distances = {"km until τ ≥ 0.9": shown, "km, mean": mean}
+        found_there = {"faults found, of 16": ", ".join(finds[traffic])}
+        whole.append({"traffic model": traffic} | distances | found_there)
+    parts = [
+        {"fault": ego} | {traffic: f"{counts[ego]}" for traffic, counts in faults.items()}
+        for ego in next(iter(faults.values()))
+    ]
+    for name, records in (("repetitions", whole), ("repeated-faults", parts)):
+        (RESULTS / f"mutants-{name}.md").write_text(markdown(_table(records, 1)), encoding="utf-8")
 
 
 if __name__ == "__main__":
@@ -295,4 +321,4 @@ if __name__ == "__main__":
     if len(sys.argv) == 2:
         main(Path(sys.argv[1]))
     else:
-        print_excess([Path(each) for each in sys.argv[1:]])
+        repeat([Path(each) for each in sys.argv[1:]])

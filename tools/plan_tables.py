@@ -28,6 +28,7 @@ from plan_verdicts import criteria_table, judged, trials_table
 
 from charms_bench.errors import RunFolderError
 from charms_bench.report.markdown import markdown
+from charms_bench.report.number import Number
 from charms_bench.report.preventable_table import crashed
 from charms_bench.report.table import Table
 from charms_bench.runs.finished_run import FinishedRun, open_finished
@@ -67,6 +68,8 @@ SCENARIOS: Columns = {
     "any": ("crashed where any of them survives", ".2%", max),
 }
 HAZARDS = {name: SCENARIOS[name] for name in ("crashed", "at_fault", "idm_mobil")}
+SCORES = ("closed_loop", "given_scene", "events", "total")
+"""Of likeness; the total is the lowest of the others."""
 CURVE_BYTES = 250_000
 CURVE = ("steps", "return_mean", "crashed_share", "epoch", "log_likelihood", "agreement")
 """The columns of learning curves that are kept: of reinforcement, and of learning from humans."""
@@ -154,6 +157,66 @@ def plan_scenarios(columns: Columns, values: pl.DataFrame) -> str:
     )
 
 
+def plan_ablations(frames: Frames) -> str:
+    """What each part of CHARMS changes in the main test: paired differences of the same seeds."""
+    driving = frames["driving"].filter(pl.col("condition") == "main")
+    egos = ["Before fine-tuning", *(str(each.__doc__)[:-1] for each in ABLATIONS.values())]
+    records = []
+    for (traffic, ego), without in driving.group_by("traffic", "ego", maintain_order=True):
+        if ego not in egos:
+            continue
+        charms = driving.filter(ego=CHARMS, traffic=traffic)
+        pairs = without.join(charms, on="seed", suffix=" of CHARMS")
+        record: dict[str, Any] = {
+            "traffic model": traffic,
+            "ego": ego,
+            "seeds": Number(pairs.height),
+        }
+        for metric, (header, _, _) in DRIVING.items():
+            record[header] = mean_of((pairs[metric] - pairs[f"{metric} of CHARMS"]).to_numpy())
+        records.append(record)
+    forms = {"seeds": ".0f"} | {header: form for header, form, _ in DRIVING.values()}
+    return markdown(Table.plain(records, ("traffic model", "ego"), forms))
+
+
+def plan_likeness(frames: Frames) -> str:
+    """The likeness to the drivers of two roads: means over the seeds, or intervals over drivers."""
+    records = []
+    for (road, ego), rows in frames["likeness"].group_by("road", "ego", maintain_order=True):
+        record: dict[str, Any] = {"road": road, "driver": ego}
+        record["seeds"] = Number(rows.height if rows.height > 1 else None)
+        for score in SCORES:
+            values = rows[score].drop_nulls().to_numpy()
+            record[score.replace("_", " ")] = mean_of(values, high=1.0)
+            if rows.height == 1:
+                bounds = rows[f"{score} low"][0], rows[f"{score} high"][0]
+                record[score.replace("_", " ")] = Number(rows[score][0], *bounds)
+        worst = min(rows["total"].to_list()) if rows.height > 1 else None
+        record["total, worst seed"] = Number(worst)
+        records.append(record)
+    forms = {"seeds": ".0f"} | {each.replace("_", " "): ".2f" for each in SCORES}
+    forms["total, worst seed"] = ".2f"
+    return markdown(Table.plain(records, ("road", "driver"), forms))
+
+
+def likeness_scores(runs: Path) -> pl.DataFrame | None:
+    """What `charms-bench likeness --half test --json` wrote into `likeness-i24.json`, ...-i75."""
+    records: list[dict[str, Any]] = []
+    for road in ("I-24", "I-75"):
+        file = runs / f"likeness-{road.replace('-', '').lower()}.json"
+        for each in json.loads(file.read_text(encoding="utf-8")) if file.exists() else ():
+            ego, _, seed = each["label"].partition(SEED)
+            if each["kind"] == "traffic":
+                continue
+            record = {"road": road, "ego": ego, "seed": int(seed) if seed else None}
+            for score in SCORES:
+                found = each["scores"].get(score) or {}
+                names = (("value", score), ("low", f"{score} low"), ("high", f"{score} high"))
+                record |= {name: found.get(part) for part, name in names}
+            records.append(record)
+    return pl.DataFrame(records, infer_schema_length=None) if records else None
+
+
 def trainings(networks: Path) -> dict[str, pl.DataFrame]:
     """What the manifests say of the networks of the plan, and their learning curves."""
     records, curves = [], []
@@ -208,7 +271,9 @@ def thinned(curves: pl.DataFrame, most_bytes: int = CURVE_BYTES) -> pl.DataFrame
 
 TABLES: dict[str, tuple[tuple[str, ...], Callable[[Frames], str]]] = {
     "main": (("driving",), plan_main),
+    "ablations": (("driving",), plan_ablations),
     "conditions": (("driving",), plan_conditions),
+    "likeness": (("likeness",), plan_likeness),
     "r157": (("r157",), lambda frames: plan_scenarios(SCENARIOS, frames["r157"])),
     "sealed-hazards": (("hazards",), lambda frames: plan_scenarios(HAZARDS, frames["hazards"])),
     "styles": (("styles", "told"), lambda frames: plan_styles(frames["styles"], frames["told"])),
@@ -254,6 +319,8 @@ def write_tables(networks: Path, runs: Path, output: Path, names: Sequence[str])
     output.mkdir(parents=True, exist_ok=True)
     needed = dict.fromkeys(frame for name in names for frame in TABLES[name][0])
     frames = trainings(networks) if "trainings" in needed else {}
+    if (scores := likeness_scores(runs)) is not None and "likeness" in needed:
+        frames["likeness"] = scores
     missing: dict[str, str] = {}
     for frame in (each for each in needed if each in FRAMES):
         if (values := values_of(runs, frame, missing)) is not None:

@@ -37,11 +37,14 @@ def test_a_page_has_the_tables_that_were_written_last(tool: ModuleType, page: Pa
 
 
 def test_every_table_is_on_a_page(tool: ModuleType) -> None:
+    from plan_tables import TABLES
+
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     used = {found[2] for found in tool.BLOCK.finditer(text)}
     # Other tools write the others: rare_coverage.py, likeness_page.py, mutants.py, plan_tables.py.
-    written = {*tool.TABLES, "rare-coverage", "mutants", "mutants-ladders", "plan-trials",
-               "plan-trainings"}  # fmt: skip
+    written = {*tool.TABLES, "rare-coverage", "mutants", "mutants-ladders", "mutants-repetitions",
+               "mutants-repeated-faults", "plan-brake"}  # fmt: skip
+    written |= {f"plan-{name}" for name in TABLES}
     written |= {f"likeness-{road}{part}" for road in ("i24", "i75", "released")
                 for part in ("", "-conduct")}  # fmt: skip
     written |= {"likeness-controls-i24", "likeness-controls-i75"}
