@@ -2,20 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import (
-    AfterValidator,
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, model_validator
 
 from charms_bench.errors import ScenarioError, suggestion
-from charms_bench.foundation.fields import Finite, FrozenModel, Name, Positive
+from charms_bench.foundation.fields import UNLESS_EMPTY, Finite, FrozenModel, Name, Positive
 from charms_bench.world.points import DECIMALS, truncated_normal
 
 TRUCK_LENGTH_M = 8.0
@@ -99,6 +93,7 @@ class VehicleType(FrozenModel):
             ...,
         ],
         Field(strict=False, max_length=1000),
+        UNLESS_EMPTY,
     ] = ()
     """Two quantities of the type, and the correlation of the normal scores of their values; all
     other quantities are independent (a Gaussian copula)."""
@@ -128,12 +123,6 @@ class VehicleType(FrozenModel):
         if self.correlations and np.linalg.eigvalsh(self.correlation_matrix(names)).min() < 1e-9:
             raise ValueError("correlations: no distribution has these; use weaker ones")
         return self
-
-    @model_serializer(mode="wrap")
-    def _without_correlations(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As before there were correlations, if there are none: a suite keeps its fingerprint."""
-        fields: dict[str, Any] = dump(self)
-        return {name: value for name, value in fields.items() if value or name != "correlations"}
 
     def correlation_matrix(self, names: Sequence[str]) -> NDArray[np.float64]:
         """The correlations (K, K) of the normal scores of K quantities."""
