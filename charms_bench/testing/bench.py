@@ -6,8 +6,7 @@ times, in one run. So their ratios hold even if the speed of the machine drifts.
 """
 
 import os
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -15,20 +14,25 @@ from importlib.util import find_spec
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.foundation.workers import Pool
 from charms_bench.testing.contestants import (
     OBSERVATION,
     SEED,
-    Step,
+    Stepping,
     compiled,
     config,
     envpool,
     highway_env,
     highway_env_learners,
+    highway_env_road,
     learners,
+    road,
     vector_environments,
 )
+from charms_bench.world.actions import IDLE
 from charms_bench.world.scene import SceneSettings
 
 _SETTINGS = SceneSettings()
@@ -37,10 +41,10 @@ _SCALE_VEHICLES = (21, 200, 2000)
 _SCALE_SCENES = tuple(10**k for k in range(6))
 _MOST_VEHICLES = 2_000_000
 
-Stepping = Callable[[float], tuple[int, float]]
-"""Steps for about so many seconds: the environment steps made, and the seconds that they took."""
 Contestant = tuple[str, int, int, Stepping]
 """A name, a number of threads, the vehicles in a scene, and what is measured."""
+Spread = tuple[float, float, float]
+"""The median over the rounds, the lowest and the highest."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,6 @@ def bench(
     called with the name of what is measured next.
     """
     settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
-    rates: list[list[float]] = []
     with ExitStack() as stack:
         if learners:
             contestants = _learners(settings, stack)
@@ -98,18 +101,60 @@ def bench(
             contestants = _vector_environments(settings, traffic, environments)
         else:
             contestants = _engines(settings, traffic, stack)
-        for *_, stepping in contestants:
-            stepping(0.0)  # compiles and allocates
-            rates.append([])
-        for _ in range(rounds):
-            for (name, threads, size, stepping), measured in zip(contestants, rates, strict=True):
-                progress(f"{name}, {size} vehicles, {threads} thread{'s' * (threads > 1)}")
-                steps, took = stepping(seconds)
-                measured.append(steps / took)
+        titled = [
+            (f"{name}, {size} vehicles, {threads} thread{'s' * (threads > 1)}", stepping)
+            for name, threads, size, stepping in contestants
+        ]
+        rates = _rates(titled, seconds, rounds, progress)
     return [
-        Measurement(name, threads, size, median(measured), min(measured), max(measured))
-        for (name, threads, size, _), measured in zip(contestants, rates, strict=True)
+        Measurement(*contestant[:3], *spread)
+        for contestant, spread in zip(contestants, rates, strict=True)
     ]
+
+
+@dataclass(frozen=True)
+class RoadMeasurement:
+    """The speed of one contestant on one thread, in decisions per second."""
+
+    name: str
+    environments: int
+    decisions_per_s: float
+    """Median over the rounds."""
+    low: float
+    high: float
+
+
+def bench_road(
+    name: str, seconds: float, rounds: int, progress: Callable[[str], None], environments: int
+) -> list[RoadMeasurement]:
+    """Measures a vector environment of so many `environments`, and one of highway-env.
+
+    Actions are random, and observations and new episodes are included. For the other arguments,
+    see `bench`.
+    """
+    ours, theirs = f"charms_bench/{name}", "highway-env"
+    contestants = [(ours, road(name, environments)), (theirs, highway_env_road(name))]
+    our_rate, their_rate = _rates(contestants, seconds, rounds, progress)
+    return [RoadMeasurement(ours, environments, *our_rate), RoadMeasurement(theirs, 1, *their_rate)]
+
+
+def _rates(
+    contestants: Sequence[tuple[str, Stepping]],
+    seconds: float,
+    rounds: int,
+    progress: Callable[[str], None],
+) -> list[Spread]:
+    """Steps per second of each contestant, with its title, which are measured in turn."""
+    rates: list[list[float]] = []
+    for _, stepping in contestants:
+        stepping(0.0)  # compiles and allocates
+        rates.append([])
+    for _ in range(rounds):
+        for (title, stepping), measured in zip(contestants, rates, strict=True):
+            progress(title)
+            steps, took = stepping(seconds)
+            measured.append(steps / took)
+    return [(median(each), min(each), max(each)) for each in rates]
 
 
 def scale(
@@ -129,10 +174,7 @@ def scale(
                 progress(f"{threads} threads, {vehicles:,} vehicles, {scenes:,} scenes")
                 make = partial(compiled, settings, "idm_mobil", scenes=scenes)
                 with _processes(make, threads) as stepping:
-                    stepping(0.0)
-                    answers = [stepping(seconds) for _ in range(rounds)]
-                rates = [steps / took for steps, took in answers]
-                spread = (median(rates), min(rates), max(rates))
+                    (spread,) = _rates([("", stepping)], seconds, rounds, lambda title: None)
                 measured.append(Measurement("batched", threads, vehicles, *spread, scenes))
     return measured
 
@@ -142,19 +184,14 @@ def _engines(settings: SceneSettings, traffic: str, stack: ExitStack) -> list[Co
     cores, vehicles = os.cpu_count() or 1, settings.vehicles
     together = stack.enter_context(_processes(partial(compiled, settings, traffic), cores))
     ours = [
-        ("batched", 1, vehicles, _stepping(compiled(settings, traffic))),
+        ("batched", 1, vehicles, compiled(settings, traffic)),
         ("batched", cores, vehicles, together),
-        ("batched", 1, 200, _stepping(compiled(crowded, traffic))),
-        (
-            "highway-env engine",
-            1,
-            vehicles,
-            _stepping(compiled(settings, traffic, "highway-env", 1)),
-        ),
-        ("highway-env", 1, vehicles, _stepping(highway_env(settings))),
+        ("batched", 1, 200, compiled(crowded, traffic)),
+        ("highway-env engine", 1, vehicles, compiled(settings, traffic, "highway-env", 1)),
+        ("highway-env", 1, vehicles, highway_env(settings)),
     ]
     return ours + [
-        ("EnvPool", threads, vehicles, _stepping(envpool(settings, threads, 64 * threads)))
+        ("EnvPool", threads, vehicles, envpool(settings, threads, 64 * threads))
         for threads in (1, cores)
         if find_spec("envpool")
     ]
@@ -194,37 +231,24 @@ def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> l
     }
     processes = min(count, os.cpu_count() or 1)  # that run at the same time
     contestants: list[Contestant] = []
+    idle = np.full(count, IDLE)
     for name, threads, environments in (
         ("Ego-v0", 1, gymnasium.make_vec(envs.ID, count, **ours)),
         ("highway-env, sync", 1, gymnasium.make_vec("highway-v0", count, "sync", config=theirs)),
         ("highway-env", processes, gymnasium.make_vec("highway-v0", count, "async", config=theirs)),
     ):
         environments.reset(seed=SEED)
-        stepping = _stepping(vector_environments(environments, count))
+        stepping = vector_environments(environments, count, lambda: idle)
         contestants.append((name, threads, settings.vehicles, stepping))
     if find_spec("envpool"):
-        pool = _stepping(envpool(settings, 1, count))
-        contestants.append(("EnvPool", 1, settings.vehicles, pool))
+        contestants.append(("EnvPool", 1, settings.vehicles, envpool(settings, 1, count)))
     return contestants
 
 
-def _stepping(step: Step) -> Stepping:
-    """Repeats a step, at least once, until the time is over."""
-
-    def run(seconds: float) -> tuple[int, float]:
-        start = time.perf_counter()
-        steps = step()
-        while time.perf_counter() < start + seconds:
-            steps += step()
-        return steps, time.perf_counter() - start
-
-    return run
-
-
 @contextmanager
-def _processes(make: Callable[[], Step], count: int) -> Iterator[Stepping]:
-    """Makes and repeats a step in each of several processes of one thread, as `run` does."""
-    with Pool(partial(_repeated, make), count, environment=ONE_THREAD) as pool:
+def _processes(make: Callable[[], Stepping], count: int) -> Iterator[Stepping]:
+    """Makes a contestant in each of several processes of one thread, and runs them together."""
+    with Pool(partial(_run, make), count, environment=ONE_THREAD) as pool:
 
         def run(seconds: float) -> tuple[int, float]:
             pool.add([seconds] * count)
@@ -234,11 +258,11 @@ def _processes(make: Callable[[], Step], count: int) -> Iterator[Stepping]:
         yield run
 
 
-def _repeated(make: Callable[[], Step], seconds: float) -> tuple[int, float]:
-    """Repeats a step that is made once in each process."""
+def _run(make: Callable[[], Stepping], seconds: float) -> tuple[int, float]:
+    """Runs a contestant that is made once in each process."""
     return _made(make)(seconds)
 
 
 @cache
-def _made(make: Callable[[], Step]) -> Stepping:
-    return _stepping(make())
+def _made(make: Callable[[], Stepping]) -> Stepping:
+    return make()
