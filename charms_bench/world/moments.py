@@ -24,6 +24,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.errors import DataError
 from charms_bench.foundation import maths
+from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.files import absolute
 from charms_bench.world.csv_table import header_of
@@ -34,9 +35,6 @@ from charms_bench.world.scene import SceneSettings
 from charms_bench.world.trajectories import LANE_WIDTH_M, Recording
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 TEST_PART = 0.2
 STEADY_MPS = 5.0
 """A heading is that of the velocity, with at least this speed along the road: the lateral speed of
