@@ -18,20 +18,8 @@ import numpy as np
 
 from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.foundation.workers import Pool
-from charms_bench.testing.contestants import (
-    OBSERVATION,
-    SEED,
-    Stepping,
-    compiled,
-    config,
-    envpool,
-    highway_env,
-    highway_env_learners,
-    highway_env_road,
-    learners,
-    road,
-    vector_environments,
-)
+from charms_bench.testing import contestants as making
+from charms_bench.testing.contestants import OBSERVATION, SEED, Stepping
 from charms_bench.world.actions import IDLE
 from charms_bench.world.scene import SceneSettings
 
@@ -96,9 +84,9 @@ def bench(
     settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
     with ExitStack() as stack:
         if learners:
-            contestants = _learners(settings, stack)
+            contestants = [*_learners(settings, stack)]
         elif environments:
-            contestants = _vector_environments(settings, traffic, environments)
+            contestants = [*_vector_environments(settings, traffic, environments)]
         else:
             contestants = _engines(settings, traffic, stack)
         titled = [
@@ -133,7 +121,7 @@ def bench_road(
     see `bench`.
     """
     ours, theirs = f"charms_bench/{name}", "highway-env"
-    contestants = [(ours, road(name, environments)), (theirs, highway_env_road(name))]
+    contestants = [(ours, making.road(name, environments)), (theirs, making.highway_env_road(name))]
     our_rate, their_rate = _rates(contestants, seconds, rounds, progress)
     return [RoadMeasurement(ours, environments, *our_rate), RoadMeasurement(theirs, 1, *their_rate)]
 
@@ -172,7 +160,7 @@ def scale(
             most = _MOST_VEHICLES // (threads * vehicles)
             for scenes in dict.fromkeys(min(scenes, most) for scenes in _SCALE_SCENES):
                 progress(f"{threads} threads, {vehicles:,} vehicles, {scenes:,} scenes")
-                make = partial(compiled, settings, "idm_mobil", scenes=scenes)
+                make = partial(making.compiled, settings, "idm_mobil", scenes=scenes)
                 with _processes(make, threads) as stepping:
                     (spread,) = _rates([("", stepping)], seconds, rounds, lambda title: None)
                 measured.append(Measurement("batched", threads, vehicles, *spread, scenes))
@@ -182,37 +170,35 @@ def scale(
 def _engines(settings: SceneSettings, traffic: str, stack: ExitStack) -> list[Contestant]:
     crowded = settings.model_copy(update={"traffic_vehicles": 199})
     cores, vehicles = os.cpu_count() or 1, settings.vehicles
-    together = stack.enter_context(_processes(partial(compiled, settings, traffic), cores))
+    together = stack.enter_context(_processes(partial(making.compiled, settings, traffic), cores))
     ours = [
-        ("batched", 1, vehicles, compiled(settings, traffic)),
+        ("batched", 1, vehicles, making.compiled(settings, traffic)),
         ("batched", cores, vehicles, together),
-        ("batched", 1, 200, compiled(crowded, traffic)),
-        ("highway-env engine", 1, vehicles, compiled(settings, traffic, "highway-env", 1)),
-        ("highway-env", 1, vehicles, highway_env(settings)),
+        ("batched", 1, 200, making.compiled(crowded, traffic)),
+        ("highway-env engine", 1, vehicles, making.compiled(settings, traffic, "highway-env", 1)),
+        ("highway-env", 1, vehicles, making.highway_env(settings)),
     ]
     return ours + [
-        ("EnvPool", threads, vehicles, envpool(settings, threads, 64 * threads))
+        ("EnvPool", threads, vehicles, making.envpool(settings, threads, 64 * threads))
         for threads in (1, cores)
         if find_spec("envpool")
     ]
 
 
-def _learners(settings: SceneSettings, stack: ExitStack) -> list[Contestant]:
+def _learners(settings: SceneSettings, stack: ExitStack) -> Iterator[Contestant]:
     """On one core and on all; the environments observe seven rows of `Kinematics`."""
-    cores = os.cpu_count() or 1
-    ours, theirs = (partial(make, settings) for make in (learners, highway_env_learners))
-    return [
-        (name, processes, settings.vehicles, stack.enter_context(_processes(make, processes)))
-        for name, processes, make in (
-            ("LearnersVectorEnv", 1, ours),
-            ("LearnersVectorEnv", cores, ours),
-            ("highway-env, one core", 1, theirs),
-            ("highway-env", cores, theirs),
-        )
-    ]
+    cores, ours, theirs = os.cpu_count() or 1, making.learners, making.highway_env_learners
+    for name, count, make in (
+        ("LearnersVectorEnv", 1, ours),
+        ("LearnersVectorEnv", cores, ours),
+        ("highway-env, one core", 1, theirs),
+        ("highway-env", cores, theirs),
+    ):
+        stepping = stack.enter_context(_processes(partial(make, settings), count))
+        yield name, count, settings.vehicles, stepping
 
 
-def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> list[Contestant]:
+def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> Iterator[Contestant]:
     """All of them observe seven rows of `Kinematics`.
 
     highway-env's environments run in one process, or in one process each. EnvPool is measured if
@@ -223,14 +209,13 @@ def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> l
 
     from charms_bench import envs
 
-    theirs = config(settings)
+    theirs = making.config(settings)
     ours: dict[str, Any] = {
         "traffic": traffic,
         "traffic_vehicles": settings.traffic_vehicles,
         "observation": OBSERVATION,
     }
     processes = min(count, os.cpu_count() or 1)  # that run at the same time
-    contestants: list[Contestant] = []
     idle = np.full(count, IDLE)
     for name, threads, environments in (
         ("Ego-v0", 1, gymnasium.make_vec(envs.ID, count, **ours)),
@@ -238,11 +223,10 @@ def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> l
         ("highway-env", processes, gymnasium.make_vec("highway-v0", count, "async", config=theirs)),
     ):
         environments.reset(seed=SEED)
-        stepping = vector_environments(environments, count, lambda: idle)
-        contestants.append((name, threads, settings.vehicles, stepping))
+        stepping = making.vector_environments(environments, count, lambda: idle)
+        yield name, threads, settings.vehicles, stepping
     if find_spec("envpool"):
-        contestants.append(("EnvPool", 1, settings.vehicles, envpool(settings, 1, count)))
-    return contestants
+        yield "EnvPool", 1, settings.vehicles, making.envpool(settings, 1, count)
 
 
 @contextmanager
