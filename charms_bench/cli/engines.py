@@ -208,9 +208,7 @@ def bench(
 
     if road is not None:
         _check_excluded(context, "--road", "vehicles", "traffic", "learners", "scale")
-        from charms_bench.testing.road_bench import bench_road
-
-        found = bench_road(_known(road), seconds, rounds, tell, environments or 100)
+        found = benchmark.bench_road(_known(road), seconds, rounds, tell, environments or 100)
         slowest = found[-1].decisions_per_s
         records = [
             {**asdict(each), "times_highway_env": each.decisions_per_s / slowest} for each in found

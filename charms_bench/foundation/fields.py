@@ -1,5 +1,6 @@
 """Field types of validated models, such as suites."""
 
+import operator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +22,11 @@ from charms_bench.errors import suggestion
 Positive = Annotated[float, Field(ge=1e-9, le=1e9)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9)]
 Finite = Annotated[float, Field(ge=-1e9, le=1e9)]
+
+
+UNLESS_EMPTY = Field(exclude_if=operator.not_)
+"""Of a field that is younger than stored suites: without a value, it is not written, so that they
+keep their fingerprints."""
 
 
 class FrozenModel(BaseModel):

@@ -77,6 +77,7 @@ class Pool(Generic[Task, Result]):
         environment: Environment variables that the processes are started with, besides ours.
         told: Called with what `tell` is given in a worker.
         failed: Called with a task that failed; by default, `results` raises its error.
+        tries: Workers that may die at one task before the task is given up.
     """
 
     def __init__(
@@ -89,10 +90,11 @@ class Pool(Generic[Task, Result]):
         environment: Mapping[str, str] = MappingProxyType({}),
         told: Callable[[Any], None] = lambda what: None,
         failed: Failed[Task] | None = None,
+        tries: int = TRIES,
     ) -> None:
         self._work, self._count, self._title, self._limit_s = work, count, title, limit_s
         self._notice, self._environment, self._told = notice, environment, told
-        self._failed = failed
+        self._failed, self._tries = failed, tries
         self._waiting: deque[tuple[Task, int]] = deque()
         self._idle: list[_Worker] = []
         self._busy: dict[Connection, _Busy[Task]] = {}
@@ -113,7 +115,7 @@ class Pool(Generic[Task, Result]):
         """Yields tasks with their results, until none is left or `wait_s` seconds are over.
 
         Raises:
-            WorkerError: `TRIES` workers died at a task, or it took longer than the limit.
+            Died: `tries` workers died at a task, or it took longer than the limit.
             CharmsBenchError: `work` raised it.
         """
         until = None if wait_s is None else time.monotonic() + wait_s
@@ -187,10 +189,11 @@ class Pool(Generic[Task, Result]):
                 return None
             title, death = self._title(done.task), done.worker.death()
             if self._limit_s is not None and time.monotonic() >= done.since_s + self._limit_s:
-                return done.task, WorkerError(f"{title} took longer than {self._limit_s:g} s")
+                return done.task, Died(None, f"{title} took longer than {self._limit_s:g} s")
             what = f"a worker process {death} at {title}"
-            if done.tries == TRIES:
-                return done.task, WorkerError(f"{what}, and so did {TRIES - 1} before it")
+            if done.tries == self._tries:
+                what += f", and so did {self._tries - 1} before it"
+                return done.task, Died(done.worker.process.exitcode, what)
             self._notice(f"{what}; another worker takes its place")
             self._waiting.appendleft((done.task, done.tries + 1))
             return None
@@ -207,15 +210,17 @@ class Pool(Generic[Task, Result]):
         return done.task, result
 
 
-class Died(Exception):
-    """The worker that was asked has died, or was killed because it took too long.
+class Died(WorkerError):
+    """A task was given up, because its workers died, or because it took too long.
 
-    `signal` is what killed it; None if it ended by itself or took too long.
+    `signal` is what killed the last worker; None if it ended by itself or took too long.
     """
 
-    def __init__(self, exit_code: int | None) -> None:
-        is_signal = exit_code is not None and exit_code < 0
-        self.signal = signal.Signals(-exit_code) if is_signal else None  # type: ignore[operator]
+    def __init__(self, exit_code: int | None, what: str = "") -> None:
+        super().__init__(what)
+        self.signal = (
+            signal.Signals(-exit_code) if exit_code is not None and exit_code < 0 else None
+        )
         self.took_too_long = exit_code is None
 
 
@@ -228,28 +233,12 @@ def ask(work: Callable[[Task], Result], task: Task, limit_s: float) -> Result:
         Died: The worker died, or took longer.
         CharmsBenchError: `work` raised it.
     """
-    until = time.monotonic() + limit_s
-    with _asking:
-        worker, number = _spare.pop() if _spare else _start(ONE_THREAD), next(_numbers)
-        try:
-            worker.send(work)
-            worker.send((number, task))
-            while not worker.connection.poll(max(0.0, min(LOOK_S, until - time.monotonic()))):
-                if time.monotonic() >= until:
-                    raise Died(None)
-                if worker.is_dead():
-                    raise EOFError
-            answer: tuple[int, bool, Result | BaseException] = worker.connection.recv()
-        except (EOFError, OSError):
-            worker.death()
-            raise Died(worker.process.exitcode) from None
-        except BaseException:  # Ctrl-C, too
-            worker.kill()
-            raise
-        _spare.append(worker)
-    if isinstance(answer[2], BaseException):
-        raise answer[2]
-    return answer[2]
+    options: dict[str, Any] = {"limit_s": limit_s, "environment": ONE_THREAD, "tries": 1}
+    with _asking, Pool(work, 1, lambda task: work.__name__, **options) as pool:
+        pool.add([task])
+        ((_, result),) = pool.results()
+        _spare.append(pool._idle.pop())
+    return result
 
 
 @dataclass(frozen=True)

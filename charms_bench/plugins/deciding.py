@@ -1,13 +1,12 @@
 """What a policy is asked and what it answers, whatever it declares."""
 
-from collections.abc import Callable
 from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from charms_bench.errors import BrokenWordError, InputError
-from charms_bench.plugins.agent import Agent, DriverModel, Policy
+from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.world.actions import Actions, check_actions
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import Floats, Ints, Observations
@@ -98,32 +97,26 @@ def check_declared(agent: Agent) -> None:
     Raises:
         InputError: An attribute has a value that is not possible.
     """
-    if isinstance(agent, DriverModel):
-        _require_number(agent, "memory_width", 0)
-        return
-    policy = agent
-    observation_of(policy.observation)
-    try:
-        check_actions(policy.actions)
-    except InputError as error:
-        raise InputError(f"its attribute `actions` {error}") from error
-    if hasattr(policy, "target_speed_steps_mps"):
-        raise InputError(
-            "its attribute `target_speed_steps_mps` has no effect; expected `actions = "
-            "with_speed_steps(...)`, with the function of charms_bench"
-        )
-    for name, lowest in (("history_length", 1), ("memory_width", 0), ("noise_draws", 0)):
-        _require_number(policy, name, lowest)
-    _require("rollouts_with", policy.rollouts_with, "the name of an agent", lambda found: True, str)
+    least = {"memory_width": 0}
+    if isinstance(agent, Policy):
+        observation_of(agent.observation)
+        try:
+            check_actions(agent.actions)
+        except InputError as error:
+            raise InputError(f"its attribute `actions` {error}") from error
+        if hasattr(agent, "target_speed_steps_mps"):
+            raise InputError(
+                "its attribute `target_speed_steps_mps` has no effect; expected `actions = "
+                "with_speed_steps(...)`, with the function of charms_bench"
+            )
+        least = {"history_length": 1, "memory_width": 0, "noise_draws": 0}
+    for name, lowest in least.items():
+        found = getattr(agent, name)
+        if type(found) is not int or not lowest <= found <= WIDEST:
+            raise _impossible(name, found, f"an integer from {lowest} to {WIDEST:,}")
+    if isinstance(agent, Policy) and type(agent.rollouts_with) is not str:
+        raise _impossible("rollouts_with", agent.rollouts_with, "the name of an agent")
 
 
-def _require_number(agent: Agent, name: str, lowest: int) -> None:
-    expected = f"an integer from {lowest} to {WIDEST:,}"
-    _require(name, getattr(agent, name), expected, lambda found: lowest <= found <= WIDEST, int)
-
-
-def _require(
-    name: str, found: Any, expected: str, fits: Callable[[Any], bool], *kinds: type
-) -> None:
-    if type(found) not in kinds or not fits(found):
-        raise InputError(f"its attribute `{name}` is {str(found)[:80]!r}; expected {expected}")
+def _impossible(name: str, found: Any, expected: str) -> InputError:
+    return InputError(f"its attribute `{name}` is {str(found)[:80]!r}; expected {expected}")

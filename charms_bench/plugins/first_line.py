@@ -30,12 +30,15 @@ def _first_line(module: str, name: str) -> str:
         warnings.simplefilter("ignore")  # of the plugin's syntax
         body = ast.parse(source).body
     for statement, below in zip(body, [*body[1:], None], strict=True):
-        match statement:
-            case ast.ClassDef(name=found) | ast.FunctionDef(name=found) if found == name:
+        match statement, below:
+            case (ast.ClassDef(name=found) | ast.FunctionDef(name=found), _) if found == name:
                 return (ast.get_docstring(statement) or "").partition("\n")[0]
-            case ast.Assign(targets=[ast.Name(id=found)]) if found == name:
-                return _text(below)
-            case ast.ImportFrom(module=origin, names=imported, level=level):
+            case (
+                ast.Assign(targets=[ast.Name(id=found)]),
+                ast.Expr(value=ast.Constant(value=str(text))),
+            ) if found == name:
+                return inspect.cleandoc(text).partition("\n")[0]
+            case ast.ImportFrom(module=origin, names=imported, level=level), _:
                 for each in imported:
                     if (each.asname or each.name) == name:
                         package = module if spec.submodule_search_locations else spec.parent
@@ -54,11 +57,3 @@ def _spec(module: str) -> ModuleSpec:
     if spec is None:
         raise ModuleNotFoundError(module)
     return spec
-
-
-def _text(statement: ast.stmt | None) -> str:
-    """The first line of a statement that is a text, such as the docstring of an assignment."""
-    match statement:
-        case ast.Expr(value=ast.Constant(value=str(text))):
-            return inspect.cleandoc(text).partition("\n")[0]
-    return ""

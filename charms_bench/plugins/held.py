@@ -11,6 +11,7 @@ A plugin that remembers its own answers, or changes other code of its process, c
 
 from collections.abc import Callable
 from copy import deepcopy
+from functools import partial
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -18,7 +19,13 @@ from numpy.typing import NDArray
 
 from charms_bench.errors import PLUGIN_ERRORS, AgentError, BrokenWordError, raised
 from charms_bench.plugins.event import Event
-from charms_bench.plugins.scene_questions import SceneQuestion, changed_array, copied
+from charms_bench.plugins.scene_questions import (
+    Answers,
+    SceneQuestion,
+    check_scene,
+    copied,
+    some_of,
+)
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
@@ -31,13 +38,15 @@ AGAIN = "another instance was asked about some of the vehicles in another order"
 
 
 class Held(Generic[P]):
-    """A plugin of which one call is asked again.
+    """A plugin of which one call is asked again; `again` says how.
 
     Args:
         other: Another instance of the plugin, made in the same way.
         rng: Chooses the call and the vehicles.
         calls: About how many calls a shard has. If there are fewer, the first one is asked again.
     """
+
+    again = AGAIN
 
     def __init__(self, plugin: P, other: P, rng: np.random.Generator, calls: int) -> None:
         self.plugin, self._other, self._rng = plugin, other, rng
@@ -48,6 +57,24 @@ class Held(Generic[P]):
     def _is_chosen(self) -> bool:
         self._calls += 1
         return self._calls - 1 in (0, self._chosen)
+
+    def _answers(
+        self,
+        name: str,
+        ask: Callable[[P, Scene, Vehicles], Answers],
+        scene: Scene,
+        vehicles: Vehicles,
+        writes: bool = False,
+    ) -> Answers:
+        """What the plugin answers about M vehicles in a chosen call, (M, ...)."""
+        before, asked = copied(scene), tuple(map(np.copy, vehicles))
+        said = tuple(map(np.array, ask(self.plugin, scene, vehicles)))
+        check_scene(name, scene, before, vehicles, asked, writes)
+        if all(each.shape[:1] == asked[0].shape for each in said):  # else the simulation says it
+            some = some_of(np.unique(asked[0]), self._rng)
+            part = SceneQuestion(name, before, asked, said).part(some)
+            self._question = lambda it, k: part.halved(k).check(partial(ask, it), self.again)
+        return said
 
     def finish(self, whose: str) -> None:
         """Asks the other instance after all calls; raises an `AgentError` if an answer differs."""
@@ -96,30 +123,8 @@ class HeldEvent(Held[Event], Event):
     def level(self, scene: Scene, rows: Ints) -> Floats:
         if not self._is_chosen():
             return self.plugin.level(scene, rows)
-        before, egos = copied(scene), (rows.copy(), scene.ego[rows])
-        levels = np.array(self.plugin.level(scene, rows), dtype=np.float64)
-        check_scene("level", scene, before, (rows,), (egos[0],))
-        if levels.shape == rows.shape:  # else the simulation says it
-            asked = SceneQuestion("level", before, egos, (levels,)).half(self._rng)
 
-            def question(event: Event, halvings: int) -> None:
-                part = asked.halved(halvings)
-                part.check(lambda scene, egos: (np.array(event.level(scene, egos[0])),), AGAIN)
+        def ask(event: Event, scene: Scene, egos: Vehicles) -> Answers:
+            return (np.asarray(event.level(scene, egos[0]), dtype=np.float64),)
 
-            self._question = question
-        return levels
-
-
-def check_scene(
-    name: str,
-    scene: Scene,
-    before: Scene,
-    vehicles: Vehicles,
-    asked: Vehicles,
-    own: Vehicles | None = None,
-) -> None:
-    """Checks that a plugin has changed nothing but what it may write of the vehicles `own`."""
-    if array := changed_array(scene, before, own):
-        raise BrokenWordError(f"{name} changed scene.{array}")
-    if not all(map(np.array_equal, vehicles, asked)):
-        raise BrokenWordError(f"{name} changed the indices that it was given")
+        return self._answers("level", ask, scene, (rows, scene.ego[rows]))[0]

@@ -7,15 +7,8 @@ import numpy as np
 from charms_bench.errors import BrokenWordError
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.deciding import Question, answer_of, part_of
-from charms_bench.plugins.held import AGAIN, TIMES, Held, check_scene
-from charms_bench.plugins.scene_questions import (
-    Answers,
-    Ask,
-    SceneQuestion,
-    copied,
-    halved,
-    some_of,
-)
+from charms_bench.plugins.held import AGAIN, TIMES, Held
+from charms_bench.plugins.scene_questions import Answers, halved, some_of
 from charms_bench.world.actions import Actions, problem_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, ObservationLike
@@ -167,29 +160,22 @@ class HeldModel(Held[DriverModel], DriverModel):
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         if not self._is_chosen():
             return self.plugin.drive(scene, vehicles)
-        before, asked = copied(scene), tuple(map(np.copy, vehicles))
-        answer = self.plugin.drive(scene, vehicles)
-        said = tuple(map(np.array, (*answer, *(getattr(scene, name)[asked] for name in WRITABLE))))
-        check_scene("drive", scene, before, vehicles, asked, asked)
-        if said[0].shape == said[1].shape == asked[0].shape:  # else the simulation says it
-            part = SceneQuestion("drive", before, asked, said).half(self._rng)
-            self._question = lambda model, k: part.halved(k).check(driving(model), AGAIN)
-        return answer
+        acceleration, lane, *_ = self._answers("drive", driving, scene, vehicles, writes=True)
+        return acceleration, lane
 
 
-def driving(model: DriverModel) -> Ask:
-    """Asks a driver model for accelerations and lanes, and for what it writes."""
-
-    def ask(scene: Scene, vehicles: Vehicles) -> Answers:
-        acceleration, lane = model.drive(scene, vehicles)
-        written = (getattr(scene, name)[vehicles] for name in WRITABLE)
-        return np.asarray(acceleration), np.asarray(lane), *written
-
-    return ask
+def driving(model: DriverModel, scene: Scene, vehicles: Vehicles) -> Answers:
+    """The accelerations and lanes that a driver model returns, and what it writes."""
+    own = tuple(map(np.copy, vehicles))  # which the model could change
+    acceleration, lane = model.drive(scene, vehicles)
+    written = (getattr(scene, name)[own] for name in WRITABLE)
+    return np.asarray(acceleration), np.asarray(lane), *written
 
 
 class _HeldObservation(Held[Any]):
     """An observation of a plugin, which is asked again at once."""
+
+    again = "asked in another order"
 
     def __init__(self, observation: Any, rng: np.random.Generator, calls: int) -> None:
         super().__init__(observation, observation, rng, calls)
@@ -198,12 +184,9 @@ class _HeldObservation(Held[Any]):
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
         if not self._is_chosen():
             return np.asarray(self.plugin(scene, vehicles))
-        before, asked = copied(scene), tuple(map(np.copy, vehicles))
-        seen = np.array(self.plugin(scene, vehicles))
-        check_scene("the observation", scene, before, vehicles, asked)
-        if len(seen) == asked[0].size:  # else the policy cannot answer
-            part = SceneQuestion("the observation", before, asked, (seen,)).half(self._rng)
-            part.check(lambda *given: (np.array(self.plugin(*given)),), "asked in another order")
+        (seen,) = self._answers("the observation", lambda it, *of: (it(*of),), scene, vehicles)
+        if self._question is not None:
+            self._question(self.plugin, 0)
         return seen
 
 

@@ -100,13 +100,12 @@ def _problems_of_node(node: Message) -> Iterator[str]:
             full = ".".join(filter(None, (*domains, name)))
             yield f"has the operator '{full[:80]}'; a policy may only have ONNX's arithmetic"
     for attribute in node["attribute"]:
-        if not {"value_string", "value_strings"}.isdisjoint(map(text_of, attribute["name"])):
+        names = {*map(text_of, attribute["name"])}
+        is_cast = names == {"to"} and _STRING in attribute["integer"]
+        if is_cast or names & {"value_string", "value_strings"}:
             yield "has texts among its tensors"
         for tensor in (*attribute["tensor"], *attribute["tensors"]):
             yield from _problems_of_tensor(tensor)
-        names = [*map(text_of, attribute["name"])]
-        if names == ["to"] and _STRING in attribute["integer"]:
-            yield "has texts among its tensors"
         if attribute["graph"]:
             yield "has graphs within its graph"
         if attribute["sparse"]:

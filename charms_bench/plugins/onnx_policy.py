@@ -164,10 +164,6 @@ class OnnxPolicy(Policy):
             return np.clip(values, -1.0, 1.0)
         return np.asarray(np.argmax(values, axis=1))
 
-    def values(self, observations: Observations) -> NDArray[np.float32]:
-        """The values of `values_and_memory`, without memory and with the smallest draws."""
-        return self.values_and_memory(observations)[0]
-
     def values_and_memory(
         self,
         observations: Observations,

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -53,18 +52,10 @@ class SceneQuestion:
         said = [answer[index] for answer in self.said]
         return SceneQuestion(self.name, self.scene._replace(**arrays), vehicles, said)
 
-    def half(self, rng: np.random.Generator) -> "SceneQuestion":
-        """A copy of the question about half of the scenes in another order."""
-        return self.part(some_of(self._rows, rng))
-
     def halved(self, times: int) -> "SceneQuestion":
         """A copy of the question about some of the scenes; see `halved`."""
-        return self.part(self._rows[halved(self._rows.size, times)])
-
-    @cached_property
-    def _rows(self) -> Ints:
-        """The scenes of the vehicles, each once."""
-        return np.flatnonzero(np.bincount(self.vehicles[0]))
+        rows = np.unique(self.vehicles[0])
+        return self.part(rows[halved(rows.size, times)])
 
     def check(self, ask: Ask, how: str) -> None:
         """Asks again, once; raises a `BrokenWordError` that says `how` if an answer differs."""
@@ -96,16 +87,22 @@ def copied(scene: Scene) -> Scene:
     return scene._replace(**{name: getattr(scene, name).copy() for name in ARRAYS})
 
 
-def changed_array(scene: Scene, before: Scene, own: Vehicles | None) -> str:
-    """The first array that differs, but for what `own` vehicles may write; empty if none does."""
-    for name in ARRAYS:
-        now, then = getattr(scene, name), getattr(before, name)
-        if name in WRITABLE and own is not None:
+def check_scene(
+    name: str, scene: Scene, before: Scene, vehicles: Vehicles, asked: Vehicles, writes: bool
+) -> None:
+    """Checks that a plugin changed nothing of what it was shown, which was `before` and `asked`.
+
+    If it `writes`, it may change the arrays `WRITABLE` of its vehicles.
+    """
+    for array in ARRAYS:
+        now, then = getattr(scene, array), getattr(before, array)
+        if writes and array in WRITABLE:
             now, then = now.copy(), then.copy()
-            now[own] = then[own] = 0.0
+            now[asked] = then[asked] = 0.0
         if not np.array_equal(now, then, equal_nan=now.dtype.kind == "f"):
-            return name
-    return ""
+            raise BrokenWordError(f"{name} changed scene.{array}")
+    if not all(map(np.array_equal, vehicles, asked)):
+        raise BrokenWordError(f"{name} changed the indices that it was given")
 
 
 def _close(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.bool_]:

@@ -5,15 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import (
-    AfterValidator,
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, model_validator
 
-from charms_bench.foundation.fields import FrozenModel, Line, Name
+from charms_bench.foundation.fields import UNLESS_EMPTY, FrozenModel, Line, Name
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import is_network, make_agent, make_traffic
@@ -96,9 +90,9 @@ class TrafficSpec(_Spec):
     """The probability of each agent; each vehicle draws one. They sum to 1."""
     scenario: Scenario | None = None
     """Vehicles that are placed and prescribed, instead of a traffic model."""
-    road: Name | None = None
+    road: Annotated[Name | None, UNLESS_EMPTY] = None
     """highway-env's name of an environment, such as `merge-v0`: its road and its vehicles."""
-    drivers: "TrafficSpec | None" = None
+    drivers: Annotated["TrafficSpec | None", UNLESS_EMPTY] = None
     """On a road, what drives these vehicles: a traffic model, an agent or a mixture. By default,
     they drive as in the environment."""
 
@@ -118,13 +112,6 @@ class TrafficSpec(_Spec):
         if self.road is not None and self.options:
             raise ValueError("options: are those of a traffic model; a road has none")
         return self
-
-    @model_serializer(mode="wrap")
-    def _without_road(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As before there were roads, if there is none: a suite keeps its fingerprint."""
-        fields: dict[str, Any] = dump(self)
-        new = ("road", "drivers")
-        return {name: value for name, value in fields.items() if value or name not in new}
 
     def make(self) -> Traffic:
         """The traffic."""

@@ -6,8 +6,7 @@ times, in one run. So their ratios hold even if the speed of the machine drifts.
 """
 
 import os
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -15,20 +14,13 @@ from importlib.util import find_spec
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.foundation.workers import Pool
-from charms_bench.testing.contestants import (
-    OBSERVATION,
-    SEED,
-    Step,
-    compiled,
-    config,
-    envpool,
-    highway_env,
-    highway_env_learners,
-    learners,
-    vector_environments,
-)
+from charms_bench.testing import contestants as making
+from charms_bench.testing.contestants import OBSERVATION, SEED, Stepping
+from charms_bench.world.actions import IDLE
 from charms_bench.world.scene import SceneSettings
 
 _SETTINGS = SceneSettings()
@@ -37,10 +29,10 @@ _SCALE_VEHICLES = (21, 200, 2000)
 _SCALE_SCENES = tuple(10**k for k in range(6))
 _MOST_VEHICLES = 2_000_000
 
-Stepping = Callable[[float], tuple[int, float]]
-"""Steps for about so many seconds: the environment steps made, and the seconds that they took."""
 Contestant = tuple[str, int, int, Stepping]
 """A name, a number of threads, the vehicles in a scene, and what is measured."""
+Spread = tuple[float, float, float]
+"""The median over the rounds, the lowest and the highest."""
 
 
 @dataclass(frozen=True)
@@ -90,26 +82,67 @@ def bench(
     called with the name of what is measured next.
     """
     settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
-    rates: list[list[float]] = []
     with ExitStack() as stack:
         if learners:
-            contestants = _learners(settings, stack)
+            contestants = [*_learners(settings, stack)]
         elif environments:
-            contestants = _vector_environments(settings, traffic, environments)
+            contestants = [*_vector_environments(settings, traffic, environments)]
         else:
             contestants = _engines(settings, traffic, stack)
-        for *_, stepping in contestants:
-            stepping(0.0)  # compiles and allocates
-            rates.append([])
-        for _ in range(rounds):
-            for (name, threads, size, stepping), measured in zip(contestants, rates, strict=True):
-                progress(f"{name}, {size} vehicles, {threads} thread{'s' * (threads > 1)}")
-                steps, took = stepping(seconds)
-                measured.append(steps / took)
+        titled = [
+            (f"{name}, {size} vehicles, {threads} thread{'s' * (threads > 1)}", stepping)
+            for name, threads, size, stepping in contestants
+        ]
+        rates = _rates(titled, seconds, rounds, progress)
     return [
-        Measurement(name, threads, size, median(measured), min(measured), max(measured))
-        for (name, threads, size, _), measured in zip(contestants, rates, strict=True)
+        Measurement(*contestant[:3], *spread)
+        for contestant, spread in zip(contestants, rates, strict=True)
     ]
+
+
+@dataclass(frozen=True)
+class RoadMeasurement:
+    """The speed of one contestant on one thread, in decisions per second."""
+
+    name: str
+    environments: int
+    decisions_per_s: float
+    """Median over the rounds."""
+    low: float
+    high: float
+
+
+def bench_road(
+    name: str, seconds: float, rounds: int, progress: Callable[[str], None], environments: int
+) -> list[RoadMeasurement]:
+    """Measures a vector environment of so many `environments`, and one of highway-env.
+
+    Actions are random, and observations and new episodes are included. For the other arguments,
+    see `bench`.
+    """
+    ours, theirs = f"charms_bench/{name}", "highway-env"
+    contestants = [(ours, making.road(name, environments)), (theirs, making.highway_env_road(name))]
+    our_rate, their_rate = _rates(contestants, seconds, rounds, progress)
+    return [RoadMeasurement(ours, environments, *our_rate), RoadMeasurement(theirs, 1, *their_rate)]
+
+
+def _rates(
+    contestants: Sequence[tuple[str, Stepping]],
+    seconds: float,
+    rounds: int,
+    progress: Callable[[str], None],
+) -> list[Spread]:
+    """Steps per second of each contestant, with its title, which are measured in turn."""
+    rates: list[list[float]] = []
+    for _, stepping in contestants:
+        stepping(0.0)  # compiles and allocates
+        rates.append([])
+    for _ in range(rounds):
+        for (title, stepping), measured in zip(contestants, rates, strict=True):
+            progress(title)
+            steps, took = stepping(seconds)
+            measured.append(steps / took)
+    return [(median(each), min(each), max(each)) for each in rates]
 
 
 def scale(
@@ -127,12 +160,9 @@ def scale(
             most = _MOST_VEHICLES // (threads * vehicles)
             for scenes in dict.fromkeys(min(scenes, most) for scenes in _SCALE_SCENES):
                 progress(f"{threads} threads, {vehicles:,} vehicles, {scenes:,} scenes")
-                make = partial(compiled, settings, "idm_mobil", scenes=scenes)
+                make = partial(making.compiled, settings, "idm_mobil", scenes=scenes)
                 with _processes(make, threads) as stepping:
-                    stepping(0.0)
-                    answers = [stepping(seconds) for _ in range(rounds)]
-                rates = [steps / took for steps, took in answers]
-                spread = (median(rates), min(rates), max(rates))
+                    (spread,) = _rates([("", stepping)], seconds, rounds, lambda title: None)
                 measured.append(Measurement("batched", threads, vehicles, *spread, scenes))
     return measured
 
@@ -140,42 +170,35 @@ def scale(
 def _engines(settings: SceneSettings, traffic: str, stack: ExitStack) -> list[Contestant]:
     crowded = settings.model_copy(update={"traffic_vehicles": 199})
     cores, vehicles = os.cpu_count() or 1, settings.vehicles
-    together = stack.enter_context(_processes(partial(compiled, settings, traffic), cores))
+    together = stack.enter_context(_processes(partial(making.compiled, settings, traffic), cores))
     ours = [
-        ("batched", 1, vehicles, _stepping(compiled(settings, traffic))),
+        ("batched", 1, vehicles, making.compiled(settings, traffic)),
         ("batched", cores, vehicles, together),
-        ("batched", 1, 200, _stepping(compiled(crowded, traffic))),
-        (
-            "highway-env engine",
-            1,
-            vehicles,
-            _stepping(compiled(settings, traffic, "highway-env", 1)),
-        ),
-        ("highway-env", 1, vehicles, _stepping(highway_env(settings))),
+        ("batched", 1, 200, making.compiled(crowded, traffic)),
+        ("highway-env engine", 1, vehicles, making.compiled(settings, traffic, "highway-env", 1)),
+        ("highway-env", 1, vehicles, making.highway_env(settings)),
     ]
     return ours + [
-        ("EnvPool", threads, vehicles, _stepping(envpool(settings, threads, 64 * threads)))
+        ("EnvPool", threads, vehicles, making.envpool(settings, threads, 64 * threads))
         for threads in (1, cores)
         if find_spec("envpool")
     ]
 
 
-def _learners(settings: SceneSettings, stack: ExitStack) -> list[Contestant]:
+def _learners(settings: SceneSettings, stack: ExitStack) -> Iterator[Contestant]:
     """On one core and on all; the environments observe seven rows of `Kinematics`."""
-    cores = os.cpu_count() or 1
-    ours, theirs = (partial(make, settings) for make in (learners, highway_env_learners))
-    return [
-        (name, processes, settings.vehicles, stack.enter_context(_processes(make, processes)))
-        for name, processes, make in (
-            ("LearnersVectorEnv", 1, ours),
-            ("LearnersVectorEnv", cores, ours),
-            ("highway-env, one core", 1, theirs),
-            ("highway-env", cores, theirs),
-        )
-    ]
+    cores, ours, theirs = os.cpu_count() or 1, making.learners, making.highway_env_learners
+    for name, count, make in (
+        ("LearnersVectorEnv", 1, ours),
+        ("LearnersVectorEnv", cores, ours),
+        ("highway-env, one core", 1, theirs),
+        ("highway-env", cores, theirs),
+    ):
+        stepping = stack.enter_context(_processes(partial(make, settings), count))
+        yield name, count, settings.vehicles, stepping
 
 
-def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> list[Contestant]:
+def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> Iterator[Contestant]:
     """All of them observe seven rows of `Kinematics`.
 
     highway-env's environments run in one process, or in one process each. EnvPool is measured if
@@ -186,45 +209,30 @@ def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> l
 
     from charms_bench import envs
 
-    theirs = config(settings)
+    theirs = making.config(settings)
     ours: dict[str, Any] = {
         "traffic": traffic,
         "traffic_vehicles": settings.traffic_vehicles,
         "observation": OBSERVATION,
     }
     processes = min(count, os.cpu_count() or 1)  # that run at the same time
-    contestants: list[Contestant] = []
+    idle = np.full(count, IDLE)
     for name, threads, environments in (
         ("Ego-v0", 1, gymnasium.make_vec(envs.ID, count, **ours)),
         ("highway-env, sync", 1, gymnasium.make_vec("highway-v0", count, "sync", config=theirs)),
         ("highway-env", processes, gymnasium.make_vec("highway-v0", count, "async", config=theirs)),
     ):
         environments.reset(seed=SEED)
-        stepping = _stepping(vector_environments(environments, count))
-        contestants.append((name, threads, settings.vehicles, stepping))
+        stepping = making.vector_environments(environments, count, lambda: idle)
+        yield name, threads, settings.vehicles, stepping
     if find_spec("envpool"):
-        pool = _stepping(envpool(settings, 1, count))
-        contestants.append(("EnvPool", 1, settings.vehicles, pool))
-    return contestants
-
-
-def _stepping(step: Step) -> Stepping:
-    """Repeats a step, at least once, until the time is over."""
-
-    def run(seconds: float) -> tuple[int, float]:
-        start = time.perf_counter()
-        steps = step()
-        while time.perf_counter() < start + seconds:
-            steps += step()
-        return steps, time.perf_counter() - start
-
-    return run
+        yield "EnvPool", 1, settings.vehicles, making.envpool(settings, 1, count)
 
 
 @contextmanager
-def _processes(make: Callable[[], Step], count: int) -> Iterator[Stepping]:
-    """Makes and repeats a step in each of several processes of one thread, as `run` does."""
-    with Pool(partial(_repeated, make), count, environment=ONE_THREAD) as pool:
+def _processes(make: Callable[[], Stepping], count: int) -> Iterator[Stepping]:
+    """Makes a contestant in each of several processes of one thread, and runs them together."""
+    with Pool(partial(_run, make), count, environment=ONE_THREAD) as pool:
 
         def run(seconds: float) -> tuple[int, float]:
             pool.add([seconds] * count)
@@ -234,11 +242,11 @@ def _processes(make: Callable[[], Step], count: int) -> Iterator[Stepping]:
         yield run
 
 
-def _repeated(make: Callable[[], Step], seconds: float) -> tuple[int, float]:
-    """Repeats a step that is made once in each process."""
+def _run(make: Callable[[], Stepping], seconds: float) -> tuple[int, float]:
+    """Runs a contestant that is made once in each process."""
     return _made(make)(seconds)
 
 
 @cache
-def _made(make: Callable[[], Step]) -> Stepping:
-    return _stepping(make())
+def _made(make: Callable[[], Stepping]) -> Stepping:
+    return make()

@@ -1,9 +1,10 @@
 """What `bench` measures: this engine and its environments, highway-env, and EnvPool.
 
-Each function makes a `Step` of scenes with the same settings. One step of many learners is a
+Each function returns a `Stepping` of scenes with the same settings. One step of many learners is a
 decision interval, which counts the decisions of the vehicles that have not crashed before it.
 """
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -24,13 +25,26 @@ SEED = 10**6
 WARM_UP = 30
 """Decisions before the measurement of learners, after which the scenes are at all stages."""
 
-Step = Callable[[], int]
-"""Makes some environment steps and returns how many."""
+Stepping = Callable[[float], tuple[int, float]]
+"""Steps for about so many seconds: the environment steps made, and the seconds that they took."""
+
+
+def repeated(step: Callable[[], int]) -> Stepping:
+    """Repeats a step, at least once; it makes some environment steps and returns how many."""
+
+    def run(seconds: float) -> tuple[int, float]:
+        start = time.perf_counter()
+        steps = step()
+        while time.perf_counter() < start + seconds:
+            steps += step()
+        return steps, time.perf_counter() - start
+
+    return run
 
 
 def compiled(
     settings: SceneSettings, traffic: str, engine: EngineName = "batched", scenes: int = SCENES
-) -> Step:
+) -> Stepping:
     """This engine with an ego that stays idle, its observations and new scenes included."""
     plugin = make_traffic(traffic)
     agents = {name: make_agent(name) for name in plugin.agents}
@@ -48,10 +62,10 @@ def compiled(
         neighbours(simulation.scene, simulation.ego_vehicles)
         return scenes
 
-    return step
+    return repeated(step)
 
 
-def highway_env(settings: SceneSettings) -> Step:
+def highway_env(settings: SceneSettings) -> Stepping:
     """highway-env with an ego that stays idle."""
     environment = _highway_v0(config(settings))
 
@@ -61,7 +75,7 @@ def highway_env(settings: SceneSettings) -> Step:
             environment.reset()
         return 1
 
-    return step
+    return repeated(step)
 
 
 def config(settings: SceneSettings) -> dict[str, Any]:
@@ -85,18 +99,17 @@ def _highway_v0(config: dict[str, Any], **options: Any) -> Any:
     return environment
 
 
-def vector_environments(environments: Any, count: int, dtype: Any = np.int64) -> Step:
-    """Vector environments that have been reset, whose egos stay idle."""
-    actions = np.full(count, IDLE, dtype=dtype)
+def vector_environments(environments: Any, count: int, act: Callable[[], Any]) -> Stepping:
+    """Vector environments that have been reset, with the actions that `act` returns."""
 
     def step() -> int:
-        environments.step(actions)
+        environments.step(act())
         return count
 
-    return step
+    return repeated(step)
 
 
-def envpool(settings: SceneSettings, threads: int, count: int) -> Step:
+def envpool(settings: SceneSettings, threads: int, count: int) -> Stepping:
     """EnvPool with egos that stay idle."""
     import envpool
 
@@ -113,10 +126,11 @@ def envpool(settings: SceneSettings, threads: int, count: int) -> Step:
         duration=round(settings.duration_s),
     )
     environments.reset()
-    return vector_environments(environments, count, np.int32)
+    idle = np.full(count, IDLE, dtype=np.int32)
+    return vector_environments(environments, count, lambda: idle)
 
 
-def learners(settings: SceneSettings) -> Step:
+def learners(settings: SceneSettings) -> Stepping:
     """A `LearnersVectorEnv` in which random actions drive all vehicles."""
     from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 
@@ -132,10 +146,10 @@ def learners(settings: SceneSettings) -> Step:
 
     for _ in range(WARM_UP):
         step()
-    return step
+    return repeated(step)
 
 
-def highway_env_learners(settings: SceneSettings) -> Step:
+def highway_env_learners(settings: SceneSettings) -> Stepping:
     """highway-env in which random actions drive all vehicles.
 
     Its episodes end when the first of the vehicles crashes.
@@ -159,4 +173,32 @@ def highway_env_learners(settings: SceneSettings) -> Step:
             env.reset()
         return decisions
 
-    return step
+    return repeated(step)
+
+
+def road(name: str, count: int) -> Stepping:
+    """Vector environments on one of highway-env's roads, with random actions."""
+    from charms_bench.envs.road_env import RoadVectorEnv
+
+    env = RoadVectorEnv(count, name)
+    env.reset(seed=SEED)
+    env.action_space.seed(SEED)
+    return vector_environments(env, count, env.action_space.sample)
+
+
+def highway_env_road(name: str) -> Stepping:
+    """highway-env's environment of that name, with random actions."""
+    import gymnasium
+    import highway_env  # noqa: F401  # registers its environments
+
+    env: Any = gymnasium.spec(name).make(disable_env_checker=True)
+    env.reset(seed=SEED)
+    env.action_space.seed(SEED)
+
+    def step() -> int:
+        truncated = env.step(env.action_space.sample())[3]
+        if truncated or env.unwrapped._is_terminated():
+            env.reset()
+        return 1
+
+    return repeated(step)

@@ -1,18 +1,17 @@
 """Compares highway-env's environments with those of `charms_bench.roads`, decision by decision."""
 
-import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import gymnasium
 import numpy as np
 
-from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
-from charms_bench.foundation.workers import in_processes
 from charms_bench.roads.controls import Controls
 from charms_bench.roads.episodes import Decision, Episodes
 from charms_bench.roads.scenes import OBSTACLE
+from charms_bench.testing.chunks import in_chunks
 from charms_bench.testing.stock_roads import unchanged_idm
 
 NUMBERS = (
@@ -43,6 +42,17 @@ class Comparison:
     differing: list[str] = field(default_factory=list)
     """The first difference of each episode that has one above the tolerance."""
 
+    def __add__(self, other: "Comparison") -> "Comparison":
+        sums = {
+            name: getattr(self, name) + getattr(other, name)
+            for name in ("episodes", "decisions", "crashed", "differing")
+        }
+        largest = {
+            name: max(getattr(self, name), getattr(other, name))
+            for name in ("largest", "largest_at_start")
+        }
+        return Comparison(self.name, **sums, **largest)
+
 
 def verify_road(
     name: str,
@@ -55,65 +65,16 @@ def verify_road(
 ) -> Comparison:
     """Compares the episodes `seed` to `seed + episodes - 1` of an environment to the last bit.
 
-    highway-env computes with the functions of `charms_bench.foundation.maths`; see
-    `exact_maths.use_exact_maths`. In every other episode, actions are random; in the others, most
-    are IDLE, or the ego steers towards the middle of its lane. At most so many decisions are
-    compared; with 0, the starts of the episodes alone. `progress` is called with the number of
-    episodes compared since the last call.
+    In every other episode, actions are random; in the others, most are IDLE, or the ego steers
+    towards the middle of its lane. At most so many decisions are compared; with 0, the starts of
+    the episodes alone. For the other arguments, see `in_chunks`.
     """
-    chunks = [
-        _Chunk(name, seed + start, min(_CHUNK, episodes - start), dict(config or {}), decisions)
-        for start in range(0, episodes, _CHUNK)
-    ]
-    return _compared(name, chunks, workers, progress)
+    some, seeds = partial(compare, decisions=decisions, config=config), range(seed, seed + episodes)
+    (found,) = in_chunks(some, [name], seeds, _CHUNK, str, workers, progress, environments=True)
+    return sum(found, Comparison(name))
 
 
-def verify_configurations(
-    name: str, configs: Iterable[Mapping[str, Any]], workers: int | None = None
-) -> Comparison:
-    """Like `verify_road`, but compares the episode k with the configuration k."""
-    chunks = [_Chunk(name, seed, 1, dict(config)) for seed, config in enumerate(configs)]
-    return _compared(name, chunks, workers, lambda episodes: None)
-
-
-def _compared(
-    name: str, chunks: list["_Chunk"], workers: int | None, progress: Callable[[int], None]
-) -> Comparison:
-    """Compares the episodes of chunks in processes."""
-    count = min(workers or os.cpu_count() or 1, len(chunks))
-    environment = worker_environment("highway-env")
-    total = Comparison(name)
-    done = in_processes(_Chunk.compare, chunks, count, _Chunk.title, environment=environment)
-    for chunk, found in done:
-        total.episodes += found.episodes
-        total.decisions += found.decisions
-        total.crashed += found.crashed
-        total.largest = max(total.largest, found.largest)
-        total.largest_at_start = max(total.largest_at_start, found.largest_at_start)
-        total.differing += found.differing
-        progress(chunk.episodes)
-    return total
-
-
-@dataclass(frozen=True)
-class _Chunk:
-    """A few episodes of an environment."""
-
-    name: str
-    seed: int
-    episodes: int
-    config: Mapping[str, Any]
-    decisions: int = MOST_DECISIONS
-
-    def title(self) -> str:
-        return f"{self.name}, episodes {self.seed} to {self.seed + self.episodes - 1}"
-
-    def compare(self) -> Comparison:
-        use_exact_maths("highway-env", environments=True)
-        seeds = range(self.seed, self.seed + self.episodes)
-        return compare(self.name, seeds, self.decisions, config=self.config)
-
-
+@unchanged_idm()
 def compare(
     name: str,
     seeds: range,
@@ -127,13 +88,6 @@ def compare(
     """
     import highway_env  # noqa: F401  # registers its environments
 
-    with unchanged_idm():
-        return _compare(name, seeds, decisions, tolerance, config)
-
-
-def _compare(
-    name: str, seeds: range, decisions: int, tolerance: float, config: Mapping[str, Any] | None
-) -> Comparison:
     stock: Any = gymnasium.spec(name).make(disable_env_checker=True)
     # Some environments take no configuration when they are made.
     stock.reset(options={"config": dict(config or {})})

@@ -1,6 +1,5 @@
 """Compares the two engines, simulation step by simulation step."""
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,13 +9,12 @@ import numpy as np
 from pydantic import Field
 
 from charms_bench.engine import ENGINES
-from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.fields import FrozenModel
-from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, drivers_of, networks_of
 from charms_bench.runs.document import Document
 from charms_bench.runs.suite import Suite
+from charms_bench.testing.chunks import in_chunks
 from charms_bench.world.actions import ActionKind
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -140,40 +138,15 @@ def verify(
 ) -> list[Comparison]:
     """Compares the engines over some episodes of each case, starting at a seed.
 
-    highway-env computes with the functions of `charms_bench.foundation.maths`; see
-    `exact_maths.use_exact_maths`. `progress` is called with the number of episodes compared
-    since the last call.
+    For the other arguments, see `in_chunks`.
     """
-    results = [Comparison(case) for case in cases]
-    chunks = [
-        _Chunk(index, case, seed + start, min(_CHUNK, episodes - start))
-        for index, case in enumerate(cases)
-        for start in range(0, episodes, _CHUNK)
-    ]
-    environment = worker_environment("highway-env")
-    count = min(workers or os.cpu_count() or 1, len(chunks))
-    done = in_processes(_Chunk.compare, chunks, count, _Chunk.title, environment=environment)
-    for chunk, found in done:
-        results[chunk.index] += found
-        progress(chunk.episodes)
-    return results
+    seeds = range(seed, seed + episodes)
+    found = in_chunks(_compare, cases, seeds, _CHUNK, lambda case: case.title, workers, progress)
+    return [sum(each, Comparison(case)) for case, each in zip(cases, found, strict=True)]
 
 
-@dataclass(frozen=True)
-class _Chunk:
-    """A few episodes of a case."""
-
-    index: int
-    case: Case
-    seed: int
-    episodes: int
-
-    def title(self) -> str:
-        return f"{self.case.title}, episodes {self.seed} to {self.seed + self.episodes - 1}"
-
-    def compare(self) -> Comparison:
-        use_exact_maths("highway-env")
-        return compare(self.case, self.seed, self.episodes)
+def _compare(case: Case, seeds: range) -> Comparison:
+    return compare(case, seeds.start, len(seeds))
 
 
 def compare(case: Case, seed: int, episodes: int) -> Comparison:

@@ -104,6 +104,16 @@ def read_parquet(path: Path) -> pl.DataFrame:
     return table
 
 
+def refuse(path: Path, table: pl.DataFrame, mistaken: pl.Expr, column: str, what: str) -> None:
+    """Raises an error about the first line that is mistaken; `{}` in `what` is its value.
+
+    The table has the number of each `line`.
+    """
+    found = table.filter(mistaken).sort("line")
+    for line, value in found.select("line", column).head(1).iter_rows():
+        raise DataError(f"{path}: line {line}: {what.format(value)}")
+
+
 def header_of(path: Path, limit: int = SIZE_LIMIT_BYTES) -> list[str]:
     """The names of a table's columns; raises a `DataError` for a file that must not be read."""
     try:

@@ -16,7 +16,7 @@ import polars as pl
 
 from charms_bench.errors import DataError
 from charms_bench.foundation.arrays import Floats
-from charms_bench.world.csv_table import Columns, Numbers, read_table
+from charms_bench.world.csv_table import Columns, Numbers, read_table, refuse
 from charms_bench.world.trajectories import (
     LOWER,
     TRACKS,
@@ -48,8 +48,10 @@ _TRACKS_META: Columns = {
     "class": None,
     "drivingDirection": Numbers(UPPER, LOWER, whole=True),
 }
-_SUMMARY = {"rows": "numFrames", "first": "initialFrame", "last": "finalFrame"}
-"""What the tracks tell of each vehicle, and the columns that must say the same."""
+_SUMMARY = {"numFrames": "rows", "initialFrame": "first", "finalFrame": "last"}
+"""The columns that must say what the tracks tell of each vehicle, and what messages call that."""
+_FOUND = "_found"
+"""The end of the name of a column that has what the tracks tell."""
 _DERIVED = ("xVelocity", "yVelocity", "xAcceleration", "laneId")
 """The columns of tracks that follow from the positions."""
 _META_LIMIT_BYTES = 2**24
@@ -74,7 +76,7 @@ def read_highd(trio: Trio) -> Recording:
     frame_rate, vehicles, markings, stated = _read_recording_meta(trio.recording_meta)
     meta = _read_tracks_meta(trio, vehicles)
     tracks = read_table(trio.tracks, _TRACKS, optional=_DERIVED).with_row_index("line", offset=2)
-    tracks = _derived(tracks, frame_rate)
+    tracks = _derived(tracks.sort("id", "frame", maintain_order=True), frame_rate)
     meta = _completed(meta, tracks)
     lanes = {d: markings[d].size - 1 for d in meta["drivingDirection"].unique().sort()}
     for direction, count in lanes.items():
@@ -89,7 +91,7 @@ def read_highd(trio: Trio) -> Recording:
     expected = f"{trio.recording_meta.name} has {last - 1}, so expected 1 to {last}"
     outside = f"column 'laneId': {{}} is outside the markings; {expected}"
     if "laneId" in tracks.columns:
-        _refuse(trio.tracks, tracks, ~pl.col("laneId").is_between(1, last), "laneId", outside)
+        refuse(trio.tracks, tracks, ~pl.col("laneId").is_between(1, last), "laneId", outside)
     tracks = _joined(trio, tracks, meta)
     if tracks.is_empty():
         raise DataError(f"{trio.tracks}: has no rows; expected a row for each vehicle and frame")
@@ -103,31 +105,25 @@ def read_highd(trio: Trio) -> Recording:
 
 
 def _derived(tracks: pl.DataFrame, rate_hz: float) -> pl.DataFrame:
-    """The tracks with velocities and accelerations that follow from positions, if they lack them.
-
-    They are in the order of the file.
-    """
-    order = tracks.sort("id", "frame", maintain_order=True)
+    """The tracks, with velocities and accelerations that follow from positions if they lack any."""
     for name, source in (("xVelocity", "x"), ("yVelocity", "y"), ("xAcceleration", "xVelocity")):
         if name not in tracks.columns:
-            values = slope(order["id"], order["frame"], order[source].to_numpy(), rate_hz)
-            order = order.with_columns(pl.Series(name, values))
-    return order.sort("line")
+            values = slope(tracks["id"], tracks["frame"], tracks[source].to_numpy(), rate_hz)
+            tracks = tracks.with_columns(pl.Series(name, values))
+    return tracks
 
 
 def _completed(meta: pl.DataFrame, tracks: pl.DataFrame) -> pl.DataFrame:
-    """What the tracks say of each vehicle, where the table of vehicles lacks it."""
+    """What the tracks say of each vehicle, in columns of their own where `meta` says it, too."""
     frame = pl.col("frame")
-    said = tracks.group_by("id").agg(
+    found = tracks.group_by("id").agg(
         initialFrame=frame.min(),
         finalFrame=frame.max(),
         numFrames=pl.len().cast(pl.Int64),
         drivingDirection=pl.when(pl.mean("xVelocity") < 0).then(UPPER).otherwise(LOWER),
     )
-    lacking = [name for name in said.columns if name not in meta.columns]
-    if not lacking:
-        return meta
-    return meta.join(said.select("id", *lacking), on="id", how="inner", maintain_order="left")
+    meta = meta.join(found, on="id", how="left", maintain_order="left", suffix=_FOUND)
+    return meta.drop_nulls([*_SUMMARY, "drivingDirection"])
 
 
 def _read_recording_meta(path: Path) -> tuple[float, int | None, dict[int, Floats], dict[str, str]]:
@@ -165,7 +161,7 @@ def _markings(path: Path, column: str, text: str) -> Floats:
 
 def _read_tracks_meta(trio: Trio, vehicles: int | None) -> pl.DataFrame:
     path = trio.tracks_meta
-    derived = ("drivingDirection", *_SUMMARY.values())
+    derived = ("drivingDirection", *_SUMMARY)
     meta = read_table(path, _TRACKS_META, _META_LIMIT_BYTES, derived)
     meta = meta.with_row_index("line", offset=2)
     if vehicles is not None and meta.height != vehicles:
@@ -173,29 +169,27 @@ def _read_tracks_meta(trio: Trio, vehicles: int | None) -> pl.DataFrame:
             f"{path}: {meta.height:,} vehicles, but {trio.recording_meta.name} announces "
             f"{vehicles:,}; is the file cut short?"
         )
-    _refuse(path, meta, ~pl.col("id").is_first_distinct(), "id", "vehicle {} appears twice")
+    refuse(path, meta, ~pl.col("id").is_first_distinct(), "id", "vehicle {} appears twice")
     unknown = ~pl.col("class").is_in(["Car", "Truck"]).fill_null(False)
-    _refuse(path, meta, unknown, "class", "column 'class': expected Car or Truck, found {!r}")
+    refuse(path, meta, unknown, "class", "column 'class': expected Car or Truck, found {!r}")
     return meta.drop("line")
 
 
 def _joined(trio: Trio, tracks: pl.DataFrame, meta: pl.DataFrame) -> pl.DataFrame:
-    """The tracks with the columns of `meta`; every vehicle is complete and has no frame twice."""
-    tracks = tracks.join(meta, on="id", how="left", maintain_order="left")
+    """The tracks with classes and directions; every vehicle is complete and has no frame twice."""
+    columns = meta.select("id", "class", "drivingDirection")
+    tracks = tracks.join(columns, on="id", how="left", maintain_order="left")
     unknown = f"vehicle {{}} is not in {trio.tracks_meta.name}"
-    _refuse(trio.tracks, tracks, pl.col("drivingDirection").is_null(), "id", unknown)
-    tracks = tracks.sort("id", "frame", maintain_order=True)
+    refuse(trio.tracks, tracks, pl.col("drivingDirection").is_null(), "id", unknown)
     again = (pl.col("id").diff() == 0) & (pl.col("frame").diff() == 0)
     twice = "vehicle {} already has a row for this frame; delete one of the two rows"
-    _refuse(trio.tracks, tracks, again, "id", twice)
-    frame = pl.col("frame")
-    driven = tracks.group_by("id").agg(rows=pl.len(), first=frame.min(), last=frame.max())
-    compared = meta.join(driven, on="id", how="left", maintain_order="left")
-    for row in compared.with_columns(pl.col("rows").fill_null(0)).iter_rows(named=True):
-        for found, column in _SUMMARY.items():
-            if row[column] != row[found]:
+    refuse(trio.tracks, tracks, again, "id", twice)
+    for row in meta.iter_rows(named=True):
+        for column, what in _SUMMARY.items():
+            found = row.get(f"{column}{_FOUND}", row[column]) or 0
+            if row[column] != found:
                 raise DataError(
-                    f"{trio.tracks}: vehicle {row['id']}: {found} {row[found]}, but "
+                    f"{trio.tracks}: vehicle {row['id']}: {what} {found}, but "
                     f"{trio.tracks_meta.name} says {column} {row[column]}; is the file cut short?"
                 )
     return tracks
@@ -246,9 +240,3 @@ def _sign(direction: int) -> float:
 def _to_the_right(markings: Floats, direction: int) -> Floats:
     """The markings of a direction in its drivers' frame, from left to right."""
     return np.sort(_sign(direction) * markings)
-
-
-def _refuse(path: Path, table: pl.DataFrame, mistaken: pl.Expr, column: str, what: str) -> None:
-    """Raises an error about the first mistaken row, if any; `{}` in `what` is its value."""
-    for line, value in table.filter(mistaken).select("line", column).head(1).iter_rows():
-        raise DataError(f"{path}: line {line}: {what.format(value)}")

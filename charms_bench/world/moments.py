@@ -9,7 +9,8 @@ it, each lane is stretched from its width to the scene's lane width, which is th
 """
 
 import hashlib
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -23,6 +24,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.errors import DataError
 from charms_bench.foundation import maths
+from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.files import absolute
 from charms_bench.world.csv_table import header_of
@@ -33,9 +35,6 @@ from charms_bench.world.scene import SceneSettings
 from charms_bench.world.trajectories import LANE_WIDTH_M, Recording
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 TEST_PART = 0.2
 STEADY_MPS = 5.0
 """A heading is that of the velocity, with at least this speed along the road: the lateral speed of
@@ -78,8 +77,6 @@ class Moments:
     """(M,) frames per second."""
     names: tuple[str, ...]
     """M descriptions."""
-    overlapping: int
-    """Pairs of vehicles that overlap in some frame; none of them is an ego meanwhile."""
 
     def __len__(self) -> int:
         return self.frame.size
@@ -194,10 +191,10 @@ def _decided(settings: SceneSettings) -> dict[str, Any]:
     ways = _carriageways(folder, content)
     lanes = settings.lanes
     if "lanes" not in settings.model_fields_set:
-        vehicles: dict[int, int] = {}
+        vehicles: Counter[int] = Counter()
         for way in ways:
-            vehicles[way.lanes] = vehicles.get(way.lanes, 0) + way.rows["vehicle"].n_unique()
-        lanes = max(vehicles, key=lambda count: vehicles[count])
+            vehicles[way.lanes] += way.rows["vehicle"].n_unique()
+        ((lanes, _),) = vehicles.most_common(1)
     widths = np.concatenate([each.widths_m for each in _with_lanes(folder, ways, lanes)])
     profile = settings.profile.model_copy(update={"lane_width_m": round(float(widths.mean()), 3)})
     found: dict[str, Any] = {
@@ -269,18 +266,18 @@ def _moments(
     speeds_mps: tuple[float, float],
 ) -> Moments:
     ways = _with_lanes(folder, _carriageways(folder, content), lanes)
-    parts, vehicles, frames, rates, names, overlapping = [], [], [], [], [], 0
+    parts, vehicles, frames, rates, names = [], [], [], [], []
     tracks_before = rows_before = 0
-    is_in_part = _part_of(folder, ways, split)
+    tested = _places_tested(folder, ways, split)
     for way in ways:
         tracks, slope = _tracks_of(way, lane_width_m, speeds_mps)
-        fit, pairs = _fitness(way, tracks, slope, main_lanes or lanes)
-        overlapping += pairs
+        can_start, goes_on = _fitness(way, tracks, slope, main_lanes or lanes)
         rate = way.recording.frame_rate_hz
         span = int(np.ceil(duration_s * rate - 1e-9))
         number = way.rows["vehicle"].to_numpy()
-        is_ours = is_in_part(way, number, way.rows["frame"].to_numpy(), span)
-        for ego, frame in _starts(tracks, (fit[0] & is_ours, fit[1]), span):
+        if split is not None:
+            can_start &= _in_part(way, split, tested, span)
+        for ego, frame in _starts(tracks, can_start, goes_on, span):
             is_here = (tracks.first <= frame + span) & (tracks.last >= frame)
             is_here[ego] = False
             others = np.nonzero(is_here)[0]
@@ -309,7 +306,6 @@ def _moments(
         frame=np.array(frames)[order],
         rate_hz=np.array(rates)[order],
         names=tuple(names[k] for k in order),
-        overlapping=overlapping,
     )
 
 
@@ -369,21 +365,18 @@ def _arctangents(slopes: Floats) -> Floats:
 
 def _fitness(
     way: _Carriageway, tracks: Tracks, slope: Floats, main_lanes: int
-) -> tuple[tuple[Bools, Bools], int]:
-    """Whether an ego can start in each row (K,), and drive on in it; and the overlapping pairs."""
-    rows = way.rows
-    frame, vehicle = rows["frame"].to_numpy(), rows["vehicle"].to_numpy()
-    one, other = _overlaps(tracks, np.abs(slope), frame)
-    is_clear = np.ones(tracks.x.size, dtype=np.bool_)
-    is_clear[one] = is_clear[other] = False
-    goes_on = is_clear & rows["on_road"].to_numpy()
-    starts = goes_on & (rows["lane"].to_numpy() < main_lanes) & ~np.isin(frame, frame[one])
-    pairs = {tuple(sorted(pair)) for pair in zip(vehicle[one], vehicle[other], strict=True)}
-    return (starts, goes_on), len(pairs)
+) -> tuple[Bools, Bools]:
+    """Whether an ego can start in each row (K,), and drive on in it."""
+    frame = way.rows["frame"].to_numpy()
+    overlapping = _overlapping(tracks, np.abs(slope), frame)
+    goes_on = way.rows["on_road"].to_numpy().copy()
+    goes_on[overlapping] = False
+    is_clear = ~np.isin(frame, frame[overlapping])
+    return goes_on & is_clear & (way.rows["lane"].to_numpy() < main_lanes), goes_on
 
 
-def _overlaps(tracks: Tracks, slope: Floats, frame: Ints) -> tuple[Ints, Ints]:
-    """The pairs of rows of one frame in which vehicles, turned to their headings, overlap.
+def _overlapping(tracks: Tracks, slope: Floats, frame: Ints) -> Ints:
+    """The rows in which vehicles, turned to their headings, overlap another one of the frame.
 
     A turned vehicle counts as the smallest rectangle along the road that encloses it.
     """
@@ -394,7 +387,7 @@ def _overlaps(tracks: Tracks, slope: Floats, frame: Ints) -> tuple[Ints, Ints]:
     across = (width + length * slope) * cosine / 2
     order = np.lexsort((tracks.x, frame))
     reach = 2 * along.max(initial=0.0)
-    found: list[tuple[Ints, Ints]] = []
+    found = [np.zeros(0, dtype=np.int64)]
     for shift in range(1, order.size):
         a, b = order[:-shift], order[shift:]
         is_near = (frame[a] == frame[b]) & (tracks.x[b] - tracks.x[a] < reach)
@@ -403,43 +396,32 @@ def _overlaps(tracks: Tracks, slope: Floats, frame: Ints) -> tuple[Ints, Ints]:
         a, b = a[is_near], b[is_near]
         meets = tracks.x[b] - tracks.x[a] < along[a] + along[b]
         meets &= np.abs(tracks.y[b] - tracks.y[a]) < across[a] + across[b]
-        found.append((a[meets], b[meets]))
-    none = np.zeros(0, dtype=np.int64)
-    one, other = zip(*found, strict=True) if found else ((none,), (none,))
-    return np.concatenate(one), np.concatenate(other)
+        found += [a[meets], b[meets]]
+    return np.concatenate(found)
 
 
-def _starts(tracks: Tracks, fit: tuple[Bools, Bools], span: int) -> list[tuple[int, int]]:
+def _starts(
+    tracks: Tracks, can_start: Bools, goes_on: Bools, span: int
+) -> Iterator[tuple[int, int]]:
     """The egos and the frames at which episodes of `span` frames can start."""
-    can_start, goes_on = fit
     stops = np.concatenate([[0], np.cumsum(~goes_on)])
-    found = []
     for ego, (row, first, last) in enumerate(
         zip(tracks.row, tracks.first, tracks.last, strict=True)
     ):
-        frames = last - first - span
-        if frames < 0:
-            continue
-        begins = row + np.arange(frames + 1)
+        begins = row + np.arange(last - first - span + 1)
         usable = can_start[begins] & (stops[begins + span + 1] == stops[begins])
         frame = 0
         for start in np.nonzero(usable)[0]:
             if start >= frame:
-                found.append((ego, int(first + start)))
+                yield ego, int(first + start)
                 frame = int(start) + span
-    return found
 
 
-PartOf = Callable[[_Carriageway, Ints, Ints, int], Bools]
-"""Whether the episodes belong to a part that vehicles (K,) of a carriageway would start in frames
-(K,), and which take so many frames."""
-
-
-def _part_of(folder: Path, ways: list[_Carriageway], split: Split | None) -> PartOf:
-    if split is None:
-        return lambda way, vehicles, frames, span: np.ones(frames.size, dtype=np.bool_)
-    is_test = split.part == "test"
+def _places_tested(folder: Path, ways: list[_Carriageway], split: Split | None) -> list[str]:
+    """The places of the test part of a split by place; raises a `DataError` without a split."""
     recordings = {each.recording.trio.number: each.recording for each in ways}
+    if split is None:
+        return []
     if split.by == "place":
         places = sorted({each.location for each in recordings.values()})
         if len(places) < 2:
@@ -447,10 +429,7 @@ def _part_of(folder: Path, ways: list[_Carriageway], split: Split | None) -> Par
                 f"{folder}: all recordings have the locationId '{places[0]}'; a split by place "
                 "needs two locations"
             )
-        tested = places[-max(1, int(len(places) * TEST_PART)) :]
-        return lambda way, vehicles, frames, span: np.full(
-            frames.size, (way.recording.location in tested) == is_test
-        )
+        return places[-max(1, int(len(places) * TEST_PART)) :]
     numbers: dict[str, int] = {}
     for number, recording in recordings.items():
         if recording.occasion in numbers:
@@ -460,23 +439,21 @@ def _part_of(folder: Path, ways: list[_Carriageway], split: Split | None) -> Par
                 f"split by {split.by} needs recordings of different times"
             )
         numbers[recording.occasion] = number
-    return _by_driver(is_test) if split.by == "driver" else _by_time(is_test)
+    return []
 
 
-def _by_driver(is_test: bool) -> PartOf:
-    def is_in_part(way: _Carriageway, vehicles: Ints, frames: Ints, span: int) -> Bools:
-        names, which = np.unique(vehicles, return_inverse=True)
-        number = way.recording.trio.number
-        draws = np.array([crc32(f"{number} {name}".encode()) for name in names])
-        return np.asarray(((draws % round(1 / TEST_PART) == 0) == is_test)[which])
-
-    return is_in_part
-
-
-def _by_time(is_test: bool) -> PartOf:
-    def is_in_part(way: _Carriageway, vehicles: Ints, frames: Ints, span: int) -> Bools:
+def _in_part(way: _Carriageway, split: Split, places: list[str], span: int) -> Bools:
+    """Whether the episodes of so many frames that start in each row (K,) belong to the part."""
+    frame, vehicle = way.rows["frame"].to_numpy(), way.rows["vehicle"].to_numpy()
+    if split.by == "time":
         every = way.recording.tracks["frame"].to_numpy()
         border = every.max() - TEST_PART * (every.max() - every.min())
-        return np.asarray(frames > border if is_test else frames + span <= border)
-
-    return is_in_part
+        return np.asarray(frame > border if split.part == "test" else frame + span <= border)
+    if split.by == "driver":
+        names, which = np.unique(vehicle, return_inverse=True)
+        number = way.recording.trio.number
+        draws = np.array([crc32(f"{number} {name}".encode()) for name in names])
+        is_tested = (draws % round(1 / TEST_PART) == 0)[which]
+    else:
+        is_tested = np.full(frame.size, way.recording.location in places)
+    return np.asarray(is_tested == (split.part == "test"))

@@ -13,7 +13,8 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import DataError
-from charms_bench.world.csv_table import Columns, Numbers, header_of, read_table
+from charms_bench.foundation.arrays import Floats
+from charms_bench.world.csv_table import Columns, Numbers, header_of, read_table, refuse
 from charms_bench.world.trajectories import LOWER, TRACKS, Recording, Trio, lateral, slope
 
 FOOT_M = 0.3048
@@ -63,11 +64,8 @@ def read_ngsim(trio: Trio) -> Recording:
     location = _location(path, table[place].unique().to_list()) if place in table else ""
     table = table.with_row_index("line", offset=2).sort("Vehicle_ID", "Frame_ID")
     again = (pl.col("Vehicle_ID").diff() == 0) & (pl.col("Frame_ID").diff() == 0)
-    for line, vehicle in table.filter(again).select("line", "Vehicle_ID").head(1).iter_rows():
-        raise DataError(
-            f"{path}: line {line}: vehicle {vehicle} already has a row for this frame; keep the "
-            "rows of one place and time"
-        )
+    twice = "vehicle {} already has a row for this frame; keep the rows of one place and time"
+    refuse(path, table, again, "Vehicle_ID", twice)
     metres = pl.col("Local_X", "Local_Y", "v_Length", "v_Width", "v_Vel", "v_Acc") * FOOT_M
     table = table.with_columns(metres)
     right = table["Local_X"].to_numpy()
@@ -107,7 +105,7 @@ def _location(path: Path, found: Sequence[str]) -> str:
     return found[0]
 
 
-def _markings(path: Path, table: pl.DataFrame) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
+def _markings(path: Path, table: pl.DataFrame) -> Floats:
     """The markings from left to right, m: midway between the median positions of the lanes."""
     medians = table.group_by("Lane_ID").agg(pl.median("Local_X")).sort("Lane_ID")
     centres: list[float] = []

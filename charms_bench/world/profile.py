@@ -7,16 +7,11 @@ suite names one and may override any field. The names in brackets are highway-en
 
 import math
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
-from pydantic import (
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, model_validator
 
-from charms_bench.foundation.fields import Finite, FrozenModel, NonNegative, Positive
+from charms_bench.foundation.fields import UNLESS_EMPTY, Finite, FrozenModel, NonNegative, Positive
 from charms_bench.world.actions import STEPS_LIMIT
 
 
@@ -81,15 +76,9 @@ class IdmMobilConstants(FrozenModel):
     """Braking that may be imposed on the new follower [LANE_CHANGE_MAX_BRAKING_IMPOSED]."""
     lane_change_period_s: Positive = 1.0
     """Time between two considerations of a lane change [LANE_CHANGE_DELAY]."""
-    least_gap_m: NonNegative | None = None
+    least_gap_m: Annotated[NonNegative | None, UNLESS_EMPTY] = None
     """The desired gap is at least this, centre to centre. Without it, as in highway-env, vehicles
     want no gap behind a leader that is much faster, and so cut in beside others."""
-
-    @model_serializer(mode="wrap")
-    def _without_least_gap(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As before there was such a gap, if there is none: a suite keeps its fingerprint."""
-        fields: dict[str, Any] = dump(self)
-        return {k: value for k, value in fields.items() if value is not None}
 
 
 class Profile(FrozenModel):
@@ -110,7 +99,7 @@ class Profile(FrozenModel):
     """A slower vehicle is accelerated towards this speed [MIN_SPEED]."""
     speed_max_mps: Positive
     """A faster vehicle is braked towards this speed [MAX_SPEED]."""
-    can_reverse: bool = True
+    can_reverse: Annotated[bool, Field(exclude_if=bool)] = True
     """Whether a vehicle that brakes passes through 0 to negative speeds, as in highway-env; if not,
     it stops, and its acceleration in that simulation step is the one that stops it."""
     tau_acceleration_s: Positive
@@ -125,9 +114,9 @@ class Profile(FrozenModel):
     """The lane that LANE_LEFT and LANE_RIGHT refer to."""
     target_speed_step_mps: Positive = 5.0
     """FASTER and SLOWER change the target speed by this, unless one of the next two is given."""
-    target_speed_steps_mps: tuple[Positive, ...] = Field(
-        default=(), strict=False, max_length=STEPS_LIMIT
-    )
+    target_speed_steps_mps: Annotated[
+        tuple[Positive, ...], Field(strict=False, max_length=STEPS_LIMIT), UNLESS_EMPTY
+    ] = ()
     """Changes that grow while a vehicle repeats FASTER or SLOWER: the first by which it changes its
     target speed, then the second, and so on to the last. Any other meta-action begins anew. A
     policy may have steps of its own; see `plugins.agent.Policy`."""
@@ -192,16 +181,6 @@ class Profile(FrozenModel):
             dt=dt,
             idm_mobil=IdmMobilParameters(**self.idm_mobil.model_dump()),
         )
-
-    @model_serializer(mode="wrap")
-    def _without_new_fields(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As before there were these fields, if none is used: a suite keeps its fingerprint."""
-        fields: dict[str, Any] = dump(self)
-        if not self.target_speed_steps_mps:
-            del fields["target_speed_steps_mps"]
-        if self.can_reverse:
-            del fields["can_reverse"]
-        return fields
 
 
 CHARMS = Profile(

@@ -2,20 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import (
-    AfterValidator,
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, model_validator
 
 from charms_bench.errors import ScenarioError, suggestion
-from charms_bench.foundation.fields import Finite, FrozenModel, Name, Positive
+from charms_bench.foundation.arrays import Floats
+from charms_bench.foundation.fields import UNLESS_EMPTY, Finite, FrozenModel, Name, Positive
 from charms_bench.world.points import DECIMALS, truncated_normal
 
 TRUCK_LENGTH_M = 8.0
@@ -33,10 +27,13 @@ def _ordered(value: Range) -> Range:
     return value
 
 
+Uniform = Annotated[tuple[Finite, Finite], Field(strict=False), AfterValidator(_ordered)]
+
+
 class Distribution(FrozenModel):
     """A distribution, truncated to a range."""
 
-    range: Annotated[tuple[Finite, Finite], Field(strict=False), AfterValidator(_ordered)]
+    range: Uniform
     """Least and largest value."""
     normal: Annotated[tuple[Finite, Positive], Field(strict=False)] | None = None
     """Mean and standard deviation."""
@@ -54,7 +51,7 @@ class Distribution(FrozenModel):
             raise ValueError(f"range: {self.range[0]:g}; a lognormal distribution is above 0")
         return self
 
-    def quantiles(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    def quantiles(self, shares: Floats) -> Floats:
         """The values below which these proportions (M,) of the distribution lie."""
         low, high = self.range
         if self.normal is not None:
@@ -69,7 +66,6 @@ class Distribution(FrozenModel):
 
 Length = Annotated[float, Field(ge=LENGTHS_M[0], le=LENGTHS_M[1])]
 Width = Annotated[float, Field(ge=WIDTHS_M[0], le=WIDTHS_M[1])]
-Uniform = Annotated[tuple[Finite, Finite], Field(strict=False), AfterValidator(_ordered)]
 
 
 class VehicleType(FrozenModel):
@@ -99,6 +95,7 @@ class VehicleType(FrozenModel):
             ...,
         ],
         Field(strict=False, max_length=1000),
+        UNLESS_EMPTY,
     ] = ()
     """Two quantities of the type, and the correlation of the normal scores of their values; all
     other quantities are independent (a Gaussian copula)."""
@@ -129,13 +126,7 @@ class VehicleType(FrozenModel):
             raise ValueError("correlations: no distribution has these; use weaker ones")
         return self
 
-    @model_serializer(mode="wrap")
-    def _without_correlations(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As before there were correlations, if there are none: a suite keeps its fingerprint."""
-        fields: dict[str, Any] = dump(self)
-        return {name: value for name, value in fields.items() if value or name != "correlations"}
-
-    def correlation_matrix(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def correlation_matrix(self, names: Sequence[str]) -> Floats:
         """The correlations (K, K) of the normal scores of K quantities."""
         matrix = np.eye(len(names))
         for one, other, correlation in self.correlations:
@@ -144,7 +135,7 @@ class VehicleType(FrozenModel):
                 matrix[i, j] = matrix[j, i] = correlation
         return matrix
 
-    def correlated(self, names: Sequence[str], shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    def correlated(self, names: Sequence[str], shares: Floats) -> Floats:
         """Correlated proportions (M, K) of K quantities, from independent ones.
 
         Those of the first quantities do not depend on which quantities come after them.
@@ -166,9 +157,7 @@ def range_of(value: float | Range | Distribution) -> Range:
     return value if isinstance(value, tuple) else (value, value)
 
 
-def drawn_from(
-    value: float | Range | Distribution, shares: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def drawn_from(value: float | Range | Distribution, shares: Floats) -> Floats:
     """The values (M,) at these proportions (M,) of a distribution; of a range, the uniform one."""
     if isinstance(value, Distribution):
         return value.quantiles(shares)

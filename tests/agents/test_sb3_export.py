@@ -223,7 +223,7 @@ def test_the_common_activations_are_exported(tmp_path: Path, name: str) -> None:
     observations = np.random.default_rng(0).uniform(-1, 1, (200, 7, 5)).astype(np.float32)
     with torch.no_grad():
         expected = model.policy.get_distribution(torch.tensor(observations)).distribution.logits
-    values = OnnxPolicy(tmp_path / "out.onnx").values(observations)
+    values = OnnxPolicy(tmp_path / "out.onnx").values_and_memory(observations)[0]
     log_sum = np.log(np.exp(values).sum(axis=1, keepdims=True))
     np.testing.assert_allclose(values - log_sum, expected, rtol=0, atol=1e-4)
     assert made["activation"] == name

@@ -145,7 +145,7 @@ def test_a_network_says_what_it_is(finished: Path) -> None:
     assert says["decision_hz"] == "3"
     assert says["actions"] == "LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER"
     observations = np.zeros((7, 7, 5), dtype=np.float32)
-    assert OnnxPolicy(file).values(observations).shape == (7, 5)
+    assert OnnxPolicy(file).values_and_memory(observations)[0].shape == (7, 5)
 
 
 def test_networks_observe_what_their_suite_names(tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def test_a_network_takes_the_recorded_action_unless_two_are_almost_equal(
     actions = ego_actions_in(states)
     decided = actions >= 0
     observed = observations_of(f"ego-{name}-observations", states)[decided].reshape(-1, 7, 5)
-    values = network_of(NETWORKS[name], tmp_path).values(observed)
+    values = network_of(NETWORKS[name], tmp_path).values_and_memory(observed)[0]
     lost = values.max(axis=1) - values[np.arange(len(values)), actions[decided]]
     others = np.flatnonzero(values.argmax(axis=1) != actions[decided])
     assert (lost[others] < TIE).all(), [

@@ -33,7 +33,9 @@ def test_values_keep_the_order_of_observations(network_file: NetworkFile, count:
     weights = np.random.default_rng(1).integers(-8, 8, (35, 5)).astype(np.float32)
     observations = np.random.default_rng(2).integers(-8, 8, (count, 7, 5)).astype(np.float32)
     expected = observations.reshape(count, 35) @ weights  # exact, as all sums are small integers
-    assert np.array_equal(OnnxPolicy(network_file(weights)).values(observations), expected)
+    assert np.array_equal(
+        OnnxPolicy(network_file(weights)).values_and_memory(observations)[0], expected
+    )
 
 
 def test_the_hash_is_that_of_the_file(network_file: NetworkFile) -> None:
@@ -186,7 +188,9 @@ def test_the_attention_of_pytorch_is_taken(tmp_path: Path) -> None:
     seen[:, 0, 0], seen[:45, 3:] = 1.0, 0.0
     with torch.no_grad():
         expected = network(torch.from_numpy(seen)).numpy()
-    np.testing.assert_allclose(OnnxPolicy(path).values(seen), expected, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(
+        OnnxPolicy(path).values_and_memory(seen)[0], expected, rtol=0, atol=1e-5
+    )
 
 
 def test_it_has_the_speed_steps_that_the_file_says(network_file: NetworkFile) -> None:

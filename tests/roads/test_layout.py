@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from drawn_configurations import random_configuration
 from highway_env.vehicle import behavior
+from stock_networks import road_of
 
 from charms_bench.errors import InputError
 from charms_bench.roads import TASKS
@@ -21,7 +22,7 @@ from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.layout import Layout
 from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
 from charms_bench.roads.scenes import KINDS, LANDMARK
-from charms_bench.testing.stock_roads import road_of, unchanged_idm
+from charms_bench.testing.stock_roads import unchanged_idm
 from charms_bench.world.road_network import StraightLane
 
 CONFIGURED = (

@@ -12,11 +12,11 @@ from highway_env.road import lane as highway_env_lanes
 from highway_env.road.road import RoadNetwork
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stock_networks import road_of
 
 from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.highway_env import highway_env_network
 from charms_bench.foundation.compiled import compiled
-from charms_bench.testing.stock_roads import road_of
 from charms_bench.world import road as questions
 from charms_bench.world.road import Road, Straight
 
