@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
-from write_results import RESULTS, ROOT, filled
+from write_results import RESULTS, ROOT, keep, refill
 
 from charms_bench.episodes.avoidability import avoidability, collisions
 from charms_bench.episodes.criticality import COLLISION, criticality
@@ -102,6 +102,14 @@ def excess(severity: Floats) -> Floats:
     return np.asarray(difference.mean(axis=0) / np.maximum(error, 1e-12))
 
 
+def cells_of(run: FinishedRun) -> dict[str, list[int]]:
+    """The places of the cells of each traffic model, by its title, in the order of the drivers."""
+    found: dict[str, list[int]] = {}
+    for place, each in enumerate(run.suite.cells):
+        found.setdefault(each.traffic.title, []).append(place)
+    return found
+
+
 def of_traffic(run: FinishedRun, cells: Sequence[int]) -> Driven:
     """What the drivers of some cells did; all have driven the same episodes."""
     return Driven(*np.stack([_of_cell(run, cell) for cell in cells], axis=-1))
@@ -115,24 +123,26 @@ def _of_cell(run: FinishedRun, index: int) -> Floats:
     for episodes, steps in run.cell(index).parts:
         late = steps.filter(pl.col("episode").is_in(steps.filter(step=since)["episode"].implode()))
         heads = episodes.filter(pl.col("episode").is_in(late["episode"].implode()))
-        columns = {
-            "severity": criticality(heads, late, scene, since),
-            "from_the_start": criticality(episodes, steps, scene),
-        }
         frame = episodes.select("episode", "ending", km=pl.col("distance_m") / 1000)
-        for name, rows in columns.items():
-            named = rows.select("episode", pl.col("criticality").alias(name))
-            frame = frame.join(named, on="episode", how="left")
+        severity = criticality(heads, late, scene, since)
+        from_the_start = criticality(episodes, steps, scene)
+        for measured in (
+            severity.select("episode", severity="criticality"),
+            from_the_start.select("episode", from_the_start="criticality"),
+        ):
+            frame = frame.join(measured, on="episode", how="left")
         frames.append(frame)
-    rows = pl.concat(frames).sort("episode")
-    return np.stack(
-        [
-            rows["severity"].fill_null(COLLISION).to_numpy(),
-            rows["from_the_start"].to_numpy(),
-            rows["km"].to_numpy(),
-            rows["ending"].is_in(["rear_end", "side"]).cast(pl.Float64).to_numpy(),
-        ]
+    columns = (
+        pl.concat(frames)
+        .sort("episode")
+        .select(
+            pl.col("severity").fill_null(COLLISION),
+            "from_the_start",
+            "km",
+            pl.col("ending").is_in(["rear_end", "side"]).cast(pl.Float64),
+        )
     )
+    return columns.to_numpy().T
 
 
 def avoidable(run: FinishedRun, cells: Sequence[int]) -> Floats:
@@ -242,12 +252,8 @@ def main(folder: Path) -> None:
     ladders: dict[str, Sequence[int]] = {
         name: [0, *(k for k, ego in enumerate(egos) if ego.startswith(name))] for name in LADDERS
     }
-    cells = {
-        entry.title: [k for k, each in enumerate(run.suite.cells) if each.traffic == entry]
-        for entry in run.suite.traffics
-    }
-    traffics = {title: of_traffic(run, places) for title, places in cells.items()}
-    searched = {title: avoidable(run, places) for title, places in cells.items()}
+    traffics = {title: of_traffic(run, places) for title, places in cells_of(run).items()}
+    searched = {title: avoidable(run, places) for title, places in cells_of(run).items()}
     rows: list[dict[str, Any]] = []
     for title, driven in traffics.items():
         marks: Ints = np.array([0, *found(driven.severity)], dtype=np.int64)
@@ -271,10 +277,9 @@ def main(folder: Path) -> None:
         print(title, "collisions searched, avoidable:", counts.sum(axis=0))
     likeness = dict(TOTAL.findall((RESULTS / "likeness-i24.md").read_text(encoding="utf-8")))
     whole, parts = summary(traffics, searched, ladders, likeness)
-    (RESULTS / "mutants.md").write_text(markdown(whole), encoding="utf-8")
-    (RESULTS / "mutants-ladders.md").write_text(markdown(parts), encoding="utf-8")
-    page = ROOT / "docs" / "mutants.md"
-    page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+    keep("mutants", markdown(whole))
+    keep("mutants-ladders", markdown(parts))
+    refill(ROOT / "docs" / "mutants.md")
 
 
 def print_excess(folders: Sequence[Path]) -> None:
@@ -282,11 +287,10 @@ def print_excess(folders: Sequence[Path]) -> None:
     for folder in folders:
         run = open_finished(folder)
         titles = [ego.title for ego in run.suite.egos[1:]]
-        for entry in run.suite.traffics:
-            cells = [k for k, each in enumerate(run.suite.cells) if each.traffic == entry]
+        for traffic, cells in cells_of(run).items():
             values = zip(titles, excess(of_traffic(run, cells).severity), strict=True)
             shown = ", ".join(f"{title} {value:.1f}" for title, value in values)
-            print(f"{entry.title}, episodes from {run.suite.seed}: {shown}")
+            print(f"{traffic}, episodes from {run.suite.seed}: {shown}")
 
 
 if __name__ == "__main__":
