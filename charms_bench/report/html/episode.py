@@ -39,8 +39,3 @@ def for_page(
         "timelines": in_page(draw_timelines(replay, view, ghosts), f"replay-{name}", label),
         "packed": pack(replay, view, ghosts),
     }
-
-
-def beside(replay: Replay) -> dict[str, Any]:
-    """An episode for the player only, beside another replay of the same episode."""
-    return pack(replay, ego_view(replay))

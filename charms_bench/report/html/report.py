@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from charms_bench.episodes.ego_view import ego_view
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute, write_bytes
 from charms_bench.report.html.chosen import asked, choose, choose_beside, futures
-from charms_bench.report.html.episode import beside, for_page
+from charms_bench.report.html.episode import for_page
+from charms_bench.report.html.packed import pack
 from charms_bench.report.html.page import check_page, render
 from charms_bench.report.html.sections import (
     evaluation_section,
@@ -15,7 +17,13 @@ from charms_bench.report.html.sections import (
     training_section,
     what_if_section,
 )
-from charms_bench.report.html.sources import Evaluation, Source, TrainingFolder, open_sources
+from charms_bench.report.html.sources import (
+    Evaluation,
+    Source,
+    TableFolder,
+    TrainingFolder,
+    open_sources,
+)
 
 
 def write_report(
@@ -53,7 +61,7 @@ def write_report(
         for name, _, each in chosen
     ]
     more = choose_beside(runs, chosen, suite_folder)
-    others_packed = {other.name: beside(other.replay) for other in more}
+    others_packed = {name: pack(each, ego_view(each)) for name, _, each in more}
     packed = {each["id"]: each["packed"] for each in shown} | others_packed
     for name, (index, _, seed), each in (*chosen, *more):
         traffic = runs[index].run.suite.traffics.index(each.cell.traffic)
@@ -64,7 +72,7 @@ def write_report(
             sections.append(evaluation_section(source, suite_folder))
         elif isinstance(source, TrainingFolder):
             sections.append(training_section(source))
-        else:
+        elif isinstance(source, TableFolder):
             sections.append(table_section(source))
     sections += [what_if_section(each, f"what-if-{name}") for name, each in others.items()]
     page = render(

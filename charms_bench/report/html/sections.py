@@ -1,6 +1,6 @@
 """The sections of a report, one per run: its tables and the figures that belong to them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -97,7 +97,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
             f"run folder {source.path.name}",
         ),
         tables=shown,
-        pictures=_pictures(source, folder),
+        pictures=[*_pictures(source, folder)],
         more=more,
         drawn_first=bool(matrices(tables.metrics)),
         finding=finding(suite, tables.metrics, tables.realism, source.run.cells),
@@ -148,57 +148,52 @@ def what_if_section(found: WhatIf, name: str) -> Section:
     return Section(name, table.title, facts, [table], [])
 
 
-def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
+def _pictures(source: Evaluation, folder: Path) -> Iterator[Picture]:
     suite, key = source.run.suite, source.key
     table, pairs = source.tables.metrics, source.tables.pairs
-    found = []
     if beside := draw_beside_paper(table):
         caption = (
             "Discs with 95 % intervals: this run. Diamonds: the paper. An interval that is "
             "narrower than its disc is hidden by it."
         )
-        found.append(_picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True))
+        yield _picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True)
     for k, matrix in enumerate(matrices(table)):
         caption = f"Egos down, {place(suite)}s across. {reading(matrix)}"
         figure = draw_matrices([replace(matrix, title="")])
-        found.append(_picture(f"{key}-matrix-{k}", matrix.title, caption, figure))
+        yield _picture(f"{key}-matrix-{k}", matrix.title, caption, figure)
     tradeoff = tradeoff_of(suite)
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
-        of_egos = tradeoff is OF_EGOS
-        title = f"{'Speed' if of_egos else 'Density'} against safety"
-        caption = (
-            "With 95 % intervals." + " Further right is faster, further down is safer." * of_egos
+        title, caption = "Density against safety", "With 95 % intervals."
+        if tradeoff is OF_EGOS:
+            title = "Speed against safety"
+            caption += " Further right is faster, further down is safer."
+        picture = _picture(
+            f"{key}-tradeoff", title, caption, draw_tradeoff(table, tradeoff, 9.6, 4.4), wide=True
         )
-        figure = draw_tradeoff(table, tradeoff, 9.6, 4.4)
-        picture = _picture(f"{key}-tradeoff", title, caption, figure, wide=True)
         small = draw_tradeoff(table, tradeoff, *NARROW_INCHES, is_narrow=True)
         narrow = in_page(small, f"{key}-tradeoff-narrow", f"{title}. {caption}")
-        found.append(replace(picture, narrow=narrow))
-    if pairs is not None and table.places(*PLACED):
-        title = "Styles apart: where each stands"
-        caption = "Mean speed and mean headway to the leader, with 95 % intervals."
-        found.append(_picture(f"{key}-places", title, caption, draw_places(table)))
+        yield replace(picture, narrow=narrow)
     if pairs is not None:
+        if table.places(*PLACED):
+            caption = "Mean speed and mean headway to the leader, with 95 % intervals."
+            title = "Styles apart: where each stands"
+            yield _picture(f"{key}-places", title, caption, draw_places(table))
+        caption = (
+            f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
+            "(Holm-corrected p < 0.05)."
+        )
         title = "Styles apart: pair by pair"
-        caption = f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
-        caption += "(Holm-corrected p < 0.05)."
-        found.append(_picture(f"{key}-separations", title, caption, draw_separations(pairs)))
-    drawn = draw_preventable(suite, source.run.cells()) if suite.preventable_by else None
-    if drawn is not None:
-        title = "Preventable collisions"
+        yield _picture(f"{key}-separations", title, caption, draw_separations(pairs))
+    if suite.preventable_by and (drawn := draw_preventable(suite, source.run.cells())):
         caption = f"Green: {survivors(suite)}. Points: collisions of the ego."
-        found.append(_picture(f"{key}-preventable", title, caption, drawn, wide=True))
-    if not suite.references:
-        return found
-    following = source.run.following()
+        yield _picture(f"{key}-preventable", "Preventable collisions", caption, drawn, wide=True)
+    following = source.run.following() if suite.references else []
     references = read_references(suite.references, folder)
     caption = "Grey: human driving. Lines: traffic models."
     for quantity, title in TITLE.items():
         for k, (name, counts) in enumerate(recorded(quantity, references).items()):
             figure = draw_quantity(quantity, following, {name: counts})
-            name, shown = f"{key}-{quantity}-{k}", f"{title}: {name}"
-            found.append(_picture(name, shown, caption, figure))
-    return found
+            yield _picture(f"{key}-{quantity}-{k}", f"{title}: {name}", caption, figure)
 
 
 def _picture(name: str, title: str, caption: str, *figures: Figure, wide: bool = False) -> Picture:
