@@ -50,12 +50,6 @@ DISTANCES = {
     f"moved, on average, to become the other. Its bins are {BIN:g} m/s and {BIN:g} m wide",
 }
 """What each distance is."""
-COUNTED = "simulated vehicles, each at a decision"
-"""What n counts."""
-RESAMPLED = (
-    "from resampled episodes and resampled human recordings, of the distance expected with as many "
-    "recordings; for the sampling-noise floor, the range of 95 % of such distances"
-)
 FLOOR = "(sampling-noise floor)"
 WITHIN_LIMITS = "(speed limits of the profile)"
 OVERSHOOT_MPS = 0.4
@@ -199,8 +193,10 @@ def _column(reference: str, metric: str) -> Column:
         name=metric,
         label=LABELS.get(metric, ""),
         definition=DISTANCES.get(distance, "Unknown distance"),
-        counted=COUNTED,
-        interval=RESAMPLED,
+        counted="simulated vehicles, each at a decision",
+        interval="from resampled episodes and resampled human recordings, of the distance "
+        "expected with as many recordings; for the sampling-noise floor, the range of 95 % of such "
+        "distances",
         group=reference,
         quantity=quantity,
         form=".3f",

@@ -168,9 +168,9 @@ def _pictures(source: Evaluation, folder: Path) -> Iterator[Picture]:
             title = "Speed against safety"
             caption += " Further right is faster, further down is safer."
         picture = _picture(
-            f"{key}-tradeoff", title, caption, draw_tradeoff(table, tradeoff, 9.6, 4.4), wide=True
+            f"{key}-tradeoff", title, caption, draw_tradeoff(table, tradeoff, (9.6, 4.4)), wide=True
         )
-        small = draw_tradeoff(table, tradeoff, *NARROW_INCHES, is_narrow=True)
+        small = draw_tradeoff(table, tradeoff, NARROW_INCHES, is_narrow=True)
         narrow = in_page(small, f"{key}-tradeoff-narrow", f"{title}. {caption}")
         yield replace(picture, narrow=narrow)
     if pairs is not None:
