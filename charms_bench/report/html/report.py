@@ -11,19 +11,8 @@ from charms_bench.report.html.chosen import asked, choose, choose_beside, future
 from charms_bench.report.html.episode import for_page
 from charms_bench.report.html.packed import pack
 from charms_bench.report.html.page import check_page, render
-from charms_bench.report.html.sections import (
-    evaluation_section,
-    table_section,
-    training_section,
-    what_if_section,
-)
-from charms_bench.report.html.sources import (
-    Evaluation,
-    Source,
-    TableFolder,
-    TrainingFolder,
-    open_sources,
-)
+from charms_bench.report.html.sections import section_of, what_if_section
+from charms_bench.report.html.sources import Evaluation, Source, open_sources
 
 
 def write_report(
@@ -66,14 +55,7 @@ def write_report(
     for name, (index, _, seed), each in (*chosen, *more):
         traffic = runs[index].run.suite.traffics.index(each.cell.traffic)
         packed[name] |= {"title": each.cell.title, "scene": [index, traffic, seed]}
-    sections = []
-    for source in sources:
-        if isinstance(source, Evaluation):
-            sections.append(evaluation_section(source, suite_folder))
-        elif isinstance(source, TrainingFolder):
-            sections.append(training_section(source))
-        elif isinstance(source, TableFolder):
-            sections.append(table_section(source))
+    sections = [section_of(source, suite_folder) for source in sources]
     sections += [what_if_section(each, f"what-if-{name}") for name, each in others.items()]
     page = render(
         sections,

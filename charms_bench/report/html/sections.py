@@ -17,7 +17,7 @@ from charms_bench.report.figures.paper_values import draw_beside_paper
 from charms_bench.report.figures.preventable import draw_preventable, survivors
 from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
-from charms_bench.report.html.sources import Evaluation, TableFolder, TrainingFolder
+from charms_bench.report.html.sources import Evaluation, Source, TableFolder, TrainingFolder
 from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
 from charms_bench.report.sentences import finding, place
@@ -64,8 +64,20 @@ class Section:
     """What was found, in sentences."""
 
 
-def evaluation_section(source: Evaluation, folder: Path) -> Section:
-    """The section of a suite; relative paths in the suite start at `folder`."""
+def section_of(source: Source, folder: Path) -> Section:
+    """The section of a run folder; relative paths in a suite start at `folder`."""
+    if isinstance(source, Evaluation):
+        return _of_evaluation(source, folder)
+    if isinstance(source, TrainingFolder):
+        return _of_training(source)
+    assert isinstance(source, TableFolder)
+    table, facts = source.table, [f"run folder {source.path.name}"]
+    if not table.rows:
+        return Section(f"run-{source.key}", table.title, [*facts, table.note], [], [])
+    return Section(f"run-{source.key}", table.title, facts, [table], [])
+
+
+def _of_evaluation(source: Evaluation, folder: Path) -> Section:
     suite, tables = source.run.suite, source.tables
     scene, last = suite.scene, suite.seed + suite.episodes - 1
     chosen = one_per_metric(printed(tables.metrics, suite.columns))
@@ -115,8 +127,7 @@ def _scenes(suite: Suite) -> str:
     return f"{counted(scene.lanes, 'lane')}, {vehicles}, density {scene.density:g}"
 
 
-def training_section(source: TrainingFolder) -> Section:
-    """The section of a training."""
+def _of_training(source: TrainingFolder) -> Section:
     training = source.training
     assert training.curves is not None
     count = training.curves["stage"].n_unique()
@@ -131,13 +142,6 @@ def training_section(source: TrainingFolder) -> Section:
             for k, (title, figure) in enumerate(draw_curves(training))
         ],
     )
-
-
-def table_section(source: TableFolder) -> Section:
-    """The section of an estimation or a search."""
-    table = source.table
-    facts = [f"run folder {source.path.name}", *([] if table.rows else [table.note])]
-    return Section(f"run-{source.key}", table.title, facts, [table] if table.rows else [], [])
 
 
 def what_if_section(found: WhatIf, name: str) -> Section:
