@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from charms_bench.people.calibrated import Calibration
 from charms_bench.people.held_out import HORIZONS_S, SEED, drawn, starts
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.people.trips import RATE_HZ
 from charms_bench.report.figures.drawing import GREY, LINE_STYLES, SERIES, panels
 from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats
@@ -35,8 +35,8 @@ def draw(found: Calibration) -> Figure:
         axes.set(xlabel=name, yticks=[])
     distributions[0].legend(frameon=False, fontsize=9)
     for k, horizon_s in enumerate(HORIZONS_S):
-        both = zip(parts, predicted, strict=True)
-        rank = np.sort([_rank(part, gaps, horizon_s) for part, (gaps, _) in both])
+        at, both = horizon_s * RATE_HZ, zip(parts, predicted, strict=True)
+        rank = np.sort([(gaps[:, at] < part.gap[at]).mean() for part, (gaps, _) in both])
         shares = np.arange(1, rank.size + 1) / rank.size
         style = {"color": SERIES[k], "linestyle": LINE_STYLES[k], "label": f"{horizon_s} s"}
         ranks.step(rank, shares, **style)
@@ -51,8 +51,3 @@ def _quantities(gaps: Floats, speeds: Floats) -> tuple[Floats, Floats, Floats]:
     speeds, gaps = speeds[:, ::RATE_HZ], gaps[:, ::RATE_HZ]
     acceleration = np.diff(speeds, axis=1)
     return time_headway(gaps, speeds), acceleration, np.diff(acceleration, axis=1)
-
-
-def _rank(part: Trip, gaps: Floats, horizon_s: int) -> float:
-    at = horizon_s * RATE_HZ
-    return float((gaps[:, at] < part.gap[at]).mean())
