@@ -12,17 +12,19 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from charms_agents.human.interface import DECISION_HZ
+from make_populations import FILES
+from recorded_through_interface import at_decisions
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.people.behind import count_lanes
-from charms_bench.people.trips import CAR_LENGTH_M, RATE_HZ, read_trips
+from charms_bench.people.trips import CAR_LENGTH_M, read_trips
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats, SceneSettings
 
-FILES = {"i24": "i24_car_following.parquet", "i75": "i75_lane_trajectories.parquet"}
-DECISION_HZ, EPISODES = 3, 400
+EPISODES = 400
 FASTER_THAN_MPS = (0.0, 22.0)
 REVERSAL_MPS2, STRONG_MPS2, HEADWAY_S, FURTHEST_M = 0.3, 1.1, 1.0, 100.0
 COLUMNS = (
@@ -94,10 +96,7 @@ def recorded(path: Path, faster_than_mps: float) -> Floats:
     for trip in read_trips(path):
         if trip.speed.min() < faster_than_mps:
             continue
-        time_s = np.arange(trip.speed.size) / RATE_HZ
-        at = np.arange(0.0, time_s[-1], 1 / DECISION_HZ)
-        both = (np.interp(at, time_s, each) for each in (trip.speed, trip.gap))
-        found[trip.driver].append(sums(*both))
+        found[trip.driver].append(sums(at_decisions(trip.speed), at_decisions(trip.gap)))
     return np.array([[*_together(np.array(each)), 0.0, 0.0, 0.0] for each in found.values()])
 
 
