@@ -167,6 +167,7 @@ def open_road(
     """
     profile = {"name": "naturalistic", "road_length_m": 5000.0, "offroad_terminal": False}
     idm_mobil = {"time_headway_s": 1.0} | ({} if changes_lanes else NO_LANE_CHANGES)
+    desired = {"normal": [30.0, 2.0], "range": [25, 35]}
     settings = SceneSettings.model_validate(
         {
             "profile": {**profile, "idm_mobil": idm_mobil},
@@ -174,13 +175,7 @@ def open_road(
             "traffic_vehicles": 0,
             "ego_slots": 1,
             "duration_s": 60 * minutes,
-            "vehicle_types": [
-                {
-                    "name": "car",
-                    "share": 1.0,
-                    "desired_speed_mps": {"normal": [30.0, 2.0], "range": [25, 35]},
-                }
-            ],
+            "vehicle_types": [{"name": "car", "share": 1.0, "desired_speed_mps": desired}],
             "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 3000},
         }
     )
