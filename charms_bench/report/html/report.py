@@ -1,6 +1,6 @@
 """Writes a report: one HTML file from run folders."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,19 +77,16 @@ def write_report(
 
 def _provenance(source: Source) -> dict[str, Any]:
     """Where a run comes from, according to its manifest."""
-    if not isinstance(source, Evaluation):
-        return {"name": source.key, "facts": {"folder": source.path.name}, "agents": {}}
-    manifest = source.run.folder.manifest()
-    versions = {"charms-bench": manifest.get("charms_bench"), **manifest.get("versions", {})}
-    machine = manifest.get("machine", {})
-    return {
-        "name": source.key,
-        "facts": {
-            "folder": source.path.name,
+    facts: dict[str, Any] = {"folder": source.path.name}
+    manifest: Mapping[str, Any] = {}
+    if isinstance(source, Evaluation):
+        manifest = source.run.folder.manifest()
+        versions = {"charms-bench": manifest.get("charms_bench"), **manifest.get("versions", {})}
+        machine = manifest.get("machine", {})
+        facts |= {
             "engine": manifest.get("engine"),
             "suite's hash": manifest.get("suite_sha256"),
             "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
             "machine": ", ".join(f"{name} {value}" for name, value in machine.items()),
-        },
-        "agents": manifest.get("agents", {}),
-    }
+        }
+    return {"name": source.key, "facts": facts, "agents": manifest.get("agents", {})}
