@@ -24,6 +24,9 @@ from charms_bench.testing.verify import random_controls
 from charms_bench.world.actions import ACTIONS, IDLE, SLOWER
 
 TOLERANCE = 1e-6
+OURS = ("lanes", "traffic_vehicles", "density", "decision_hz", "duration_s")
+STOCK = ("lanes_count", "vehicles_count", "vehicles_density", "policy_frequency", "duration")
+"""What the two environments call the numbers of a configuration after its seed."""
 
 
 class Configuration(NamedTuple):
@@ -50,21 +53,11 @@ class Configuration(NamedTuple):
                 actions="continuous" if continuous else "meta",
                 reward=HighwayReward(),
                 profile="highway-env",
-                lanes=self.lanes,
-                traffic_vehicles=self.vehicles,
-                density=self.density,
-                decision_hz=self.decision_hz,
-                duration_s=self.duration_s,
                 ego_slots=1,
                 observation="Kinematics",
+                **dict(zip(OURS, self[1:], strict=True)),
             )
-        config: dict[str, Any] = {
-            "lanes_count": self.lanes,
-            "vehicles_count": self.vehicles,
-            "vehicles_density": self.density,
-            "policy_frequency": self.decision_hz,
-            "duration": self.duration_s,
-        }
+        config: dict[str, Any] = dict(zip(STOCK, self[1:], strict=True))
         if continuous:
             config["action"] = {"type": "ContinuousAction"}
         return gymnasium.make("highway-v0", config=config)
@@ -93,7 +86,7 @@ def difference(ours: dict[str, NDArray[Any]], stock: dict[str, NDArray[Any]]) ->
         seen, known = ours["observations"][step + 1], stock["observations"][step + 1]
         apart = np.abs(seen - known).max()
         if max(apart, abs(reward - expected)) > TOLERANCE:
-            speed = np.hypot(*stock["observations"][step + 1][0, 3:5]) * 80
+            speed = np.hypot(*known[0, 3:5]) * 80
             return f"step {step + 1}: observation {apart:.1e}, ego at {speed:.1f} m/s"
     if ours["rewards"].size != stock["rewards"].size or ours["terminated"] != stock["terminated"]:
         return f"ends in step {ours['rewards'].size}, stock in step {stock['rewards'].size}"

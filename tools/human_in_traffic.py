@@ -9,21 +9,22 @@ drivers and over simulated episodes.
 
 import sys
 from collections import defaultdict
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from charms_agents.human.interface import DECISION_HZ
+from make_populations import FILES
+from recorded_through_interface import at_decisions
 
 from charms_bench.engine.simulation import Simulation
-from charms_bench.people.lane_choices import UNDONE_WITHIN_S
-from charms_bench.people.trips import CAR_LENGTH_M, RATE_HZ, read_trips
+from charms_bench.people.behind import count_lanes
+from charms_bench.people.trips import CAR_LENGTH_M, read_trips
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats, SceneSettings
 
-FILES = {"i24": "i24_car_following.parquet", "i75": "i75_lane_trajectories.parquet"}
-DECISION_HZ, EPISODES = 3, 400
+EPISODES = 400
 FASTER_THAN_MPS = (0.0, 22.0)
 REVERSAL_MPS2, STRONG_MPS2, HEADWAY_S, FURTHEST_M = 0.3, 1.1, 1.0, 100.0
 COLUMNS = (
@@ -95,50 +96,38 @@ def recorded(path: Path, faster_than_mps: float) -> Floats:
     for trip in read_trips(path):
         if trip.speed.min() < faster_than_mps:
             continue
-        time_s = np.arange(trip.speed.size) / RATE_HZ
-        at = np.arange(0.0, time_s[-1], 1 / DECISION_HZ)
-        both = (np.interp(at, time_s, each) for each in (trip.speed, trip.gap))
-        found[trip.driver].append(sums(*both))
-    return np.array([[*_together(each), 0.0, 0.0, 0.0] for each in found.values()])
+        found[trip.driver].append(sums(at_decisions(trip.speed), at_decisions(trip.gap)))
+    return np.array([[*_together(np.array(each)), 0.0, 0.0, 0.0] for each in found.values()])
 
 
 def simulated(population: str) -> Floats:
     """(U, 11) sums of the episodes."""
     settings = SceneSettings.model_validate({"profile": "naturalistic", "traffic_vehicles": 20})
     agents = {"human": make_agent("human", {"population": population})}
-    simulation = Simulation(settings, EPISODES, "human", OneAgent("human"), agents)
+    traffic = OneAgent("human")
+    simulation = Simulation(settings, EPISODES, "human", traffic, agents)
     simulation.reset(np.arange(EPISODES, dtype=np.uint64))
     scene = simulation.scene
     every = np.nonzero(scene.present)
-    kept: list[list[Floats]] = [[], [], [], []]
+    speeds, gaps = [], []
     for k in range(settings.decisions + 1):
         if k:
             simulation.step()
         leader, present = scene.leader(every, scene.lane[every])
         gap = scene.x[every[0], leader] - scene.x[every] - settings.profile.vehicle_length_m
-        now = scene.speed[every], np.where(present, gap, np.nan), scene.x[every], scene.lane[every]
-        for part, values in zip(kept, now, strict=True):
-            part.append(values.astype(np.float64))
-    speed, gaps, x, lane = (np.array(part).T for part in kept)
-    found = []
-    for episode in range(EPISODES):
-        own = np.nonzero(every[0] == episode)[0]
-        changes = undone = 0
-        for vehicle in own:
-            at = np.nonzero(np.diff(lane[vehicle]))[0]
-            changes += at.size
-            for one, other in pairwise(at):
-                is_back = lane[vehicle, other + 1] == lane[vehicle, one]
-                undone += is_back and other - one <= UNDONE_WITHIN_S * DECISION_HZ
-        km = (x[own, -1] - x[own, 0]).sum() / 1000
-        together = _together([sums(speed[k], gaps[k]) for k in own])
-        found.append([*together, km, changes, undone])
-    return np.array(found)
+        speeds.append(scene.speed[every])
+        gaps.append(np.where(present, gap, np.nan))
+    vehicles = [sums(*both) for both in zip(np.array(speeds).T, np.array(gaps).T, strict=True)]
+    found = [_together(np.array(vehicles)[every[0] == episode]) for episode in range(EPISODES)]
+    of_ego, of_traffic = (
+        count_lanes(settings, driver, "human", traffic, agents, EPISODES)
+        for driver in ("human", traffic)
+    )
+    return np.hstack([found, (of_ego + of_traffic)[:, :3]])
 
 
-def _together(parts: list[Floats]) -> list[float]:
-    """The sums of several stretches; their median headway is the median of theirs."""
-    stacked = np.array(parts)
+def _together(stacked: Floats) -> list[float]:
+    """The sums (P, 8) of several stretches; their median headway is the median of theirs."""
     medians = stacked[stacked[:, 5] > 0, 7]
     return [*stacked[:, :7].sum(axis=0), float(np.median(medians)) if medians.size else np.nan]
 

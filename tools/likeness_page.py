@@ -10,9 +10,10 @@ networks in the package only needs another call.
 import sys
 from pathlib import Path
 
-from write_results import RESULTS, ROOT, filled
+from write_results import ROOT, keep, refill
 
 from charms_bench.people.population import read_population
+from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.likeness import draw
 from charms_bench.report.likeness_table import controls_table, likeness_tables
 from charms_bench.report.markdown import markdown
@@ -37,26 +38,20 @@ def main(data: Path) -> None:
         rows = list(likeness(read, against))
         write(f"likeness-{road}", rows)
         controls = controls_table(list(likeness_of_controls(read, against)))
-        write_text(f"likeness-controls-{road}", markdown(controls))
+        keep(f"likeness-controls-{road}", markdown(controls))
         if road == "i24":
-            draw(rows, FIGURE)
+            save(draw(rows), FIGURE)
             if (RELEASED.parent / "networks").is_dir():
                 released = likeness(load_suite(RELEASED), against)
                 write("likeness-released", [each for each in released if each.kind == "ego"])
-    page = ROOT / "docs" / "likeness.md"
-    page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+    refill(ROOT / "docs" / "likeness.md")
 
 
 def write(name: str, rows: list[Likeness]) -> None:
     """Writes the scores of some rows, and what the drivers did."""
     scores, conduct = likeness_tables(rows, [])
-    write_text(name, markdown(scores))
-    write_text(f"{name}-conduct", markdown(conduct))
-
-
-def write_text(name: str, text: str) -> None:
-    """Writes a table that stands on the page between marks with this name."""
-    (RESULTS / f"{name}.md").write_text(text.rstrip() + "\n", encoding="utf-8")
+    keep(name, markdown(scores))
+    keep(f"{name}-conduct", markdown(conduct))
 
 
 if __name__ == "__main__":

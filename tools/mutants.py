@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 from plan_seeds import mean_of
-from write_results import RESULTS, ROOT, filled
+from write_results import RESULTS, ROOT, keep, refill
 
 from charms_bench.episodes.avoidability import avoidability, collisions
 from charms_bench.episodes.criticality import COLLISION, criticality
@@ -97,6 +97,14 @@ def found(severity: Floats) -> Bools:
     return np.asarray(difference.mean(axis=0) / np.maximum(error, 1e-12) > FOUND)
 
 
+def cells_of(run: FinishedRun) -> dict[str, list[int]]:
+    """The places of the cells of each traffic model, by its title, in the order of the drivers."""
+    found: dict[str, list[int]] = {}
+    for place, each in enumerate(run.suite.cells):
+        found.setdefault(each.traffic.title, []).append(place)
+    return found
+
+
 def of_traffic(run: FinishedRun, cells: Sequence[int]) -> Driven:
     """What the drivers of some cells did; all have driven the same episodes."""
     return Driven(*np.stack([_of_cell(run, cell) for cell in cells], axis=-1))
@@ -110,24 +118,26 @@ def _of_cell(run: FinishedRun, index: int) -> Floats:
     for episodes, steps in run.cell(index).parts:
         late = steps.filter(pl.col("episode").is_in(steps.filter(step=since)["episode"].implode()))
         heads = episodes.filter(pl.col("episode").is_in(late["episode"].implode()))
-        columns = {
-            "severity": criticality(heads, late, scene, since),
-            "from_the_start": criticality(episodes, steps, scene),
-        }
         frame = episodes.select("episode", "ending", km=pl.col("distance_m") / 1000)
-        for name, rows in columns.items():
-            named = rows.select("episode", pl.col("criticality").alias(name))
-            frame = frame.join(named, on="episode", how="left")
+        severity = criticality(heads, late, scene, since)
+        from_the_start = criticality(episodes, steps, scene)
+        for measured in (
+            severity.select("episode", severity="criticality"),
+            from_the_start.select("episode", from_the_start="criticality"),
+        ):
+            frame = frame.join(measured, on="episode", how="left")
         frames.append(frame)
-    rows = pl.concat(frames).sort("episode")
-    return np.stack(
-        [
-            rows["severity"].fill_null(COLLISION).to_numpy(),
-            rows["from_the_start"].to_numpy(),
-            rows["km"].to_numpy(),
-            rows["ending"].is_in(["rear_end", "side"]).cast(pl.Float64).to_numpy(),
-        ]
+    columns = (
+        pl.concat(frames)
+        .sort("episode")
+        .select(
+            pl.col("severity").fill_null(COLLISION),
+            "from_the_start",
+            "km",
+            pl.col("ending").is_in(["rear_end", "side"]).cast(pl.Float64),
+        )
     )
+    return columns.to_numpy().T
 
 
 def avoidable(run: FinishedRun, cells: Sequence[int]) -> Floats:
@@ -238,14 +248,6 @@ def titles_of(run: FinishedRun) -> tuple[list[str], dict[str, Sequence[int]]]:
     }
 
 
-def cells_of(run: FinishedRun) -> dict[str, list[int]]:
-    """The cells of each traffic model."""
-    return {
-        entry.title: [k for k, each in enumerate(run.suite.cells) if each.traffic == entry]
-        for entry in run.suite.traffics
-    }
-
-
 def main(folder: Path) -> None:
     """Writes the tables and the severities."""
     run = open_finished(folder)
@@ -275,10 +277,9 @@ def main(folder: Path) -> None:
         print(title, "collisions searched, avoidable:", counts.sum(axis=0))
     likeness = dict(TOTAL.findall((RESULTS / "likeness-i24.md").read_text(encoding="utf-8")))
     whole, parts = summary(traffics, searched, ladders, likeness)
-    (RESULTS / "mutants.md").write_text(markdown(whole), encoding="utf-8")
-    (RESULTS / "mutants-ladders.md").write_text(markdown(parts), encoding="utf-8")
-    page = ROOT / "docs" / "mutants.md"
-    page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+    keep("mutants", markdown(whole))
+    keep("mutants-ladders", markdown(parts))
+    refill(ROOT / "docs" / "mutants.md")
 
 
 def repeat(folders: Sequence[Path]) -> None:
@@ -312,7 +313,8 @@ def repeat(folders: Sequence[Path]) -> None:
         for ego in next(iter(faults.values()))
     ]
     for name, records in (("repetitions", whole), ("repeated-faults", parts)):
-        (RESULTS / f"mutants-{name}.md").write_text(markdown(_table(records, 1)), encoding="utf-8")
+        keep(f"mutants-{name}", markdown(_table(records, 1)))
+    refill(ROOT / "docs" / "mutants.md")
 
 
 if __name__ == "__main__":

@@ -19,9 +19,16 @@ from charms_bench.people.trips import RATE_HZ, read_trips
 from charms_bench.plugins.registry import make_agent
 from charms_bench.world.actions import DEFAULT_ACTIONS, meta_actions_of
 from charms_bench.world.profile import CHARMS, NATURALISTIC
+from charms_bench.world.scene import Floats
 
 FILES = {"I-24": "i24_car_following.parquet", "I-75": "i75_lane_trajectories.parquet"}
 STRONG_MPS2 = 1.1
+
+
+def at_decisions(values: Floats) -> Floats:
+    """Recorded values (n,) at the decisions of a driver."""
+    time_s = np.arange(values.size) / RATE_HZ
+    return np.interp(np.arange(0.0, time_s[-1], 1 / DECISION_HZ), time_s, values)
 
 
 def main(data: Path, policies: Sequence[str]) -> None:
@@ -30,20 +37,15 @@ def main(data: Path, policies: Sequence[str]) -> None:
     print("| recording | driver | above 1.1 m/s² | standard deviation, m/s² |")
     print("|---|---|---:|---:|")
     for name, file in FILES.items():
-        trips = read_trips(data / file)
-        decided = []
-        for trip in trips:
-            time_s = np.arange(trip.speed.size) / RATE_HZ
-            at = np.arange(0.0, time_s[-1], 1 / DECISION_HZ)
-            decided.append(np.interp(at, time_s, trip.speed))
+        decided = [at_decisions(trip.speed) for trip in read_trips(data / file)]
         drivers = {"recorded": decided}
         interfaces = {f"`{each.name}`": (each, DEFAULT_ACTIONS) for each in (CHARMS, NATURALISTIC)}
         for policy, actions in actions_of.items():
             interfaces[f"`charms` and `{policy}`"] = CHARMS, meta_actions_of(actions)
         for name_of_interface, interface in interfaces.items():
-            followed = [through_interface(each[:, None], *interface) for each in decided]
-            followed = [each.speed[:, 0] for each in followed]
-            drivers[f"through the interface of {name_of_interface}"] = followed
+            drivers[f"through the interface of {name_of_interface}"] = [
+                through_interface(each[:, None], *interface).speed[:, 0] for each in decided
+            ]
         for driver, speeds in drivers.items():
             found = np.concatenate([np.diff(each) * DECISION_HZ for each in speeds])
             strong = (np.abs(found) > STRONG_MPS2).mean()

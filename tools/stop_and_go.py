@@ -46,6 +46,11 @@ DRIVERS = {"highway-env": 30.0, "naturalistic": 33.3}
 """The profiles whose IDM drives on the ring, and the desired speed there, m/s."""
 
 
+def exponent(p: IdmMobilConstants) -> float:
+    """The mean exponent of the drivers."""
+    return (p.exponent_low + p.exponent_high) / 2
+
+
 class Slopes(NamedTuple):
     """The derivatives of IDM's acceleration in equilibrium."""
 
@@ -58,11 +63,9 @@ class Slopes(NamedTuple):
 def equilibrium(density_per_km: float, p: IdmMobilConstants, desired: float) -> float:
     """The speed at which IDM keeps a density, m/s; its gap is centre to centre, 1 / density."""
     gap = 1000 / density_per_km
-    delta = (p.exponent_low + p.exponent_high) / 2
 
     def excess(speed: float) -> float:
-        wanted = equilibrium_gap(speed, p)
-        return 1 - (speed / desired) ** delta - (wanted / gap) ** 2
+        return 1 - (speed / desired) ** exponent(p) - (equilibrium_gap(speed, p) / gap) ** 2
 
     return float(brentq(excess, 0.0, desired))
 
@@ -70,11 +73,7 @@ def equilibrium(density_per_km: float, p: IdmMobilConstants, desired: float) -> 
 def slopes(density_per_km: float, p: IdmMobilConstants, desired: float) -> Slopes:
     """The derivatives of IDM's acceleration at the equilibrium of a density."""
     gap, speed = 1000 / density_per_km, equilibrium(density_per_km, p, desired)
-    delta, a, b = (
-        (p.exponent_low + p.exponent_high) / 2,
-        p.acceleration_mps2,
-        p.deceleration_mps2,
-    )
+    delta, a, b = exponent(p), p.acceleration_mps2, p.deceleration_mps2
     wanted = equilibrium_gap(speed, p)
     free = delta * speed ** (delta - 1) / desired**delta
     return Slopes(
@@ -168,6 +167,7 @@ def open_road(
     """
     profile = {"name": "naturalistic", "road_length_m": 5000.0, "offroad_terminal": False}
     idm_mobil = {"time_headway_s": 1.0} | ({} if changes_lanes else NO_LANE_CHANGES)
+    desired = {"normal": [30.0, 2.0], "range": [25, 35]}
     settings = SceneSettings.model_validate(
         {
             "profile": {**profile, "idm_mobil": idm_mobil},
@@ -175,13 +175,7 @@ def open_road(
             "traffic_vehicles": 0,
             "ego_slots": 1,
             "duration_s": 60 * minutes,
-            "vehicle_types": [
-                {
-                    "name": "car",
-                    "share": 1.0,
-                    "desired_speed_mps": {"normal": [30.0, 2.0], "range": [25, 35]},
-                }
-            ],
+            "vehicle_types": [{"name": "car", "share": 1.0, "desired_speed_mps": desired}],
             "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 3000},
         }
     )
@@ -270,29 +264,21 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
     jams = {
         speed: open_road(2000.0, minutes, speed, changes_lanes=False) for speed in (2.0, 3.0, 4.0)
     }
+    roads = {(f"{flow:.0f}", "none"): each for flow, each in flows.items()}
+    roads |= {("2000", f"{speed:.0f} m/s"): each for speed, each in jams.items()}
     rows = [
         {
-            "inflow": f"{flow:.0f}",
-            "bottleneck": "none",
+            "inflow": inflow,
+            "bottleneck": bottleneck,
             "entered": each.entered_per_h,
             "density": each.density_per_km,
             "flow": each.flow_per_h,
             "crashed": each.crashed,
         }
-        for flow, each in flows.items()
+        for (inflow, bottleneck), each in roads.items()
     ]
     shocks = []
     for speed, each in jams.items():
-        rows.append(
-            {
-                "inflow": "2000",
-                "bottleneck": f"{speed:.0f} m/s",
-                "entered": each.entered_per_h,
-                "density": each.density_per_km,
-                "flow": each.flow_per_h,
-                "crashed": each.crashed,
-            }
-        )
         front, computed = shock_speeds(each)
         bottleneck = f"{speed:.0f} m/s"
         shocks.append({"bottleneck": bottleneck, "front": front, "Rankine-Hugoniot": computed})

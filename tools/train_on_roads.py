@@ -59,11 +59,7 @@ TRAININGS = {
         SAC,
         (80_000, 20_000),
         (20, 2),
-        {
-            **_SAC,
-            "replay_buffer_class": HerReplayBuffer,
-            "policy_kwargs": {"net_arch": [128, 128]},
-        },
+        {**_SAC, "replay_buffer_class": HerReplayBuffer, "policy_kwargs": {"net_arch": [128, 128]}},
         2,
         {"add_walls": False, "duration": 20},
     ),

@@ -20,7 +20,7 @@ from typer.cli import get_docs_for_click
 
 from charms_bench.cli import app
 from charms_bench.cli.terminal import EXITS
-from charms_bench.metrics import METRIC_SETS, ROADS, SCENARIOS
+from charms_bench.metrics import METRIC_SETS, ROADS, SCENARIOS, Metric
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.recording.columns import COUNT, DRIVER, EPISODE, STEP
@@ -53,10 +53,7 @@ SUITE_KEYS: dict[str, type[BaseModel]] = {
     "scenario.vehicles[].actions[]": Action,
 }
 """The models of a suite, each by the key under which it stands in YAML."""
-NAMED = {
-    "Profile": "[profile](#profiles)",
-    "LatinHypercube": "`{latin_hypercube: N}`",
-}
+NAMED = {"Profile": "[profile](#profiles)", "LatinHypercube": "`{latin_hypercube: N}`"}
 """Models that stand nowhere else in the tables."""
 KINDS = {
     "integer": "whole number",
@@ -65,8 +62,6 @@ KINDS = {
     "boolean": "true or false",
     "object": "mapping",
 }
-
-
 INTERVALS = {
     "bootstrap": "bootstrap",
     "proportion": "Wilson, effective n",
@@ -81,6 +76,11 @@ def table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     lines = [header, ("---",) * len(header), *rows]
     cells = ([re.sub(r"\s+", " ", each).replace("|", r"\|") for each in line] for line in lines)
     return "".join(f"| {' | '.join(line)} |\n" for line in cells)
+
+
+def sections(parts: Iterable[tuple[str, str]]) -> str:
+    """Texts under their headings."""
+    return "\n".join(f"### {heading}\n\n{text}" for heading, text in parts)
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
@@ -123,15 +123,12 @@ def bounds(schema: dict[str, Any]) -> str:
     low, high = schema.get("minimum"), schema.get("maximum")
     if schema.get("type") == "integer" and "exclusiveMaximum" in schema:
         high = schema["exclusiveMaximum"] - 1
-    if low == 1e-9 or schema.get("exclusiveMinimum") == 0:
-        return " above 0" if high is None or high >= 1e9 else f" above 0, up to {high:,g}"
-    low = None if low is None or low <= -1e9 else low
     high = None if high is None or high >= 1e9 else high
-    if low is None and high is None:
-        return ""
-    if high is None:
-        return f" from {low:,g}"
-    return f" from {low:,g} to {high:,.0f}" if low is not None else f" up to {high:,.0f}"
+    if low == 1e-9 or schema.get("exclusiveMinimum") == 0:
+        return " above 0" if high is None else f" above 0, up to {high:,g}"
+    if low is None or low <= -1e9:
+        return "" if high is None else f" up to {high:,.0f}"
+    return f" from {low:,g}" + ("" if high is None else f" to {high:,.0f}")
 
 
 def anchor(key: str) -> str:
@@ -165,12 +162,11 @@ def keys_of(model: type[BaseModel]) -> str:
 
 
 def suite_keys() -> str:
-    parts = []
-    for key, model in SUITE_KEYS.items():
-        heading = f"`{key}`" if key != "a distribution" else key.capitalize()
-        about = inspect.getdoc(model)
-        parts.append(f"### {heading}\n\n{about}\n\n{keys_of(model)}")
-    return "\n".join(parts)
+    headings = {key: f"`{key}`" for key in SUITE_KEYS} | {"a distribution": "A distribution"}
+    return sections(
+        (headings[key], f"{inspect.getdoc(model)}\n\n{keys_of(model)}")
+        for key, model in SUITE_KEYS.items()
+    )
 
 
 def profiles() -> str:
@@ -196,33 +192,24 @@ def profiles() -> str:
 
 
 def metrics() -> str:
-    parts = []
-    for metric_set in (*METRIC_SETS, ROADS, SCENARIOS):
-        rows = [
-            (
-                f"`{metric.name}`",
-                metric.unit or "proportion",
-                metric.description,
-                metric.rests_on,
-                INTERVALS[metric.interval],
-            )
-            for metric in metric_set.metrics
-        ]
-        header = ("metric", "unit", "what it is", "n", "interval")
-        parts.append(f"### {metric_set.label}\n\n{table(header, rows)}")
-    return "\n".join(parts)
+    header = ("metric", "unit", "what it is", "n", "interval")
+
+    def row(each: Metric) -> tuple[str, ...]:
+        known = each.unit or "proportion", each.description, each.rests_on
+        return (f"`{each.name}`", *known, INTERVALS[each.interval])
+
+    sets = (*METRIC_SETS, ROADS, SCENARIOS)
+    return sections((each.label, table(header, map(row, each.metrics))) for each in sets)
 
 
 def columns() -> str:
     kinds = {"steps": STEP, "episodes": EPISODE, "drivers": DRIVER, "counts": COUNT}
-    parts = []
-    for name, declared in kinds.items():
-        rows = [
-            (f"`{column}`", str(each.dtype), each.unit, each.meaning)
-            for column, each in declared.items()
-        ]
-        parts.append(f"### {name}\n\n{table(('column', 'type', 'unit', 'meaning'), rows)}")
-    return "\n".join(parts)
+    rows = {
+        name: [(f"`{key}`", str(each.dtype), each.unit, each.meaning) for key, each in kind.items()]
+        for name, kind in kinds.items()
+    }
+    header = ("column", "type", "unit", "meaning")
+    return sections((name, table(header, each)) for name, each in rows.items())
 
 
 def exit_codes() -> str:

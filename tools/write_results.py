@@ -334,16 +334,26 @@ def filled(text: str) -> str:
     return BLOCK.sub(lambda found: f"{found[1]}{texts[found[2]]}\n{found[3]}", text)
 
 
+def refill(page: Path) -> None:
+    """Writes a page again with the files of `docs/results` in their places."""
+    page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def keep(name: str, text: str) -> None:
+    """Writes a table into `docs/results`."""
+    (RESULTS / f"{name}.md").write_text(text, encoding="utf-8")
+
+
 def main(runs: Path) -> None:
     RESULTS.mkdir(exist_ok=True)
     for name, (folder, make) in TABLES.items():
         text = make(runs / folder) if (runs / folder).is_dir() else ""
         if text:
-            (RESULTS / f"{name}.md").write_text(text, encoding="utf-8")
+            keep(name, text)
         found = "from" if text else "as it was, nothing in"
         print(f"docs/results/{name}.md: {found} {runs / folder}")
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
-        page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+        refill(page)
 
 
 if __name__ == "__main__":

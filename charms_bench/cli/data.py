@@ -44,7 +44,7 @@ def data(
     from charms_bench.foundation.files import absolute
     from charms_bench.people.survey import OFF_CENTRE_M, survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
-    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.drawing import check_figure, save
     from charms_bench.report.figures.recordings import draw
     from charms_bench.report.progress import progress
     from charms_bench.world.recording_folder import find_trios
@@ -63,7 +63,7 @@ def data(
         notes: list[str] = []
         found, learnable = survey(folder, samplers, lambda count: tell("", count), notes.append)
     if figure is not None:
-        draw(found, learnable, figure)
+        save(draw(found, learnable), figure)
     facts = found.facts()
     if as_json:
         print_json({**facts, "samplers": {name: asdict(each) for name, each in learnable.items()}})
@@ -181,7 +181,7 @@ def calibrate(
     from charms_bench.people.held_out import HORIZONS_S
     from charms_bench.people.lane_choices import FEWEST_CHANGES, fit_choices, read_choices
     from charms_bench.people.trips import read_trips
-    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.drawing import check_figure, save
     from charms_bench.report.figures.predictive import draw
     from charms_bench.report.progress import note
 
@@ -200,7 +200,7 @@ def calibrate(
     if to is not None:
         write_bytes(to, population.to_json().encode())
     if figure is not None:
-        draw(found, figure)
+        save(draw(found), figure)
     if as_json:
         print_json({"population": population.model_dump(), "held_out": found.records()})
         return
@@ -271,7 +271,7 @@ def likeness(
     """Score how much egos and traffic drive like recorded drivers."""
     from charms_bench.foundation.files import absolute
     from charms_bench.people.population import read_population
-    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.drawing import check_figure, save
     from charms_bench.report.figures.likeness import draw
     from charms_bench.report.likeness_table import likeness_tables
     from charms_bench.report.progress import note
@@ -294,7 +294,7 @@ def likeness(
             note("controls")
             of_controls = list(likeness_of_controls(read, against))
     if figure is not None:
-        draw(rows, figure)
+        save(draw(rows), figure)
     if as_json:
         print_json([asdict(each) for each in (*rows, *of_controls)])
         return

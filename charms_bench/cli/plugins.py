@@ -68,7 +68,7 @@ def traffic(
     from charms_bench.foundation.files import absolute
     from charms_bench.plugins.registry import make_traffic
     from charms_bench.plugins.traffic_shares import SAMPLED, shares
-    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.drawing import check_figure, save
     from charms_bench.report.figures.shares import draw
     from charms_bench.report.table import Column, Table
     from charms_bench.report.terminal import drawn
@@ -80,7 +80,7 @@ def traffic(
     found = shares(make_traffic(name, options))
     if figure is not None:
         words = ", ".join(f"{key} {value}" for key, value in options.items())
-        draw(found, f"{name} {words}".strip(), figure)
+        save(draw(found, f"{name} {words}".strip()), figure)
     if as_json:
         print_json({"traffic": name, "options": options, "shares": found})
         return

@@ -12,7 +12,7 @@ from charms_bench.errors import CharmsBenchError, RegistryError, RunFolderError
 from charms_bench.foundation.files import is_compressed, read_file
 from charms_bench.foundation.words import counted
 from charms_bench.metrics import SCENARIOS, MetricSet
-from charms_bench.people.reference import read_references
+from charms_bench.people.reference import Reference, read_references
 from charms_bench.report import run_files
 from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_table
 from charms_bench.report.suite_table import KEYS, LONG, matrices
@@ -36,27 +36,21 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
 
     The folder is a run's, and the suite names the folder that paths of recordings start from.
     """
+    sets: Sequence[MetricSet] = suite.metric_sets
+    unknown, references = set[str](), list[Reference]()
     try:
         run = open_finished(folder)
-    except RunFolderError as error:
-        yield Finding("tables", "", "unknown", f"cannot be computed again: {error}")
-        return
-    recorded, blobs = run.folder.manifest().get("modules", {}), module_blobs()
-    deciding = row_modules(entry=run_files.__name__)
-    is_own = all(recorded.get(name) == blobs[name] for name in deciding)
-    try:
-        references = read_references(suite.references, suite.folder)
-    except CharmsBenchError as error:
-        references = []
-        yield Finding("tables", f"tables/{suite.suite}-realism.csv", "unknown", str(error))
-    try:
         try:
-            sets, unknown = _stored_sets(folder / "tables" / f"{suite.suite}.csv"), set[str]()
+            references = read_references(suite.references, suite.folder)
+        except CharmsBenchError as error:
+            yield Finding("tables", f"tables/{suite.suite}-realism.csv", "unknown", str(error))
+        try:
+            sets = _stored_sets(folder / "tables" / f"{suite.suite}.csv")
         except RegistryError as error:  # metrics of a plugin that is not installed
-            sets, unknown = suite.metric_sets, {f"{suite.suite}.csv", f"{suite.suite}.md"}
+            unknown = {f"{suite.suite}.csv", f"{suite.suite}.md"}
             yield Finding("tables", f"tables/{suite.suite}.csv", "unknown", str(error))
-        except RunFolderError:  # it is compared as a file
-            sets, unknown = suite.metric_sets, set()
+        except RunFolderError:
+            pass  # it is compared as a file
         run = replace(run, leaves_out=any(each.name == SCENARIOS.name for each in sets))
         following = run.following() if references else []
         cells = [run_files.measure(suite, rows, sets) for rows in run.cells()]
@@ -64,29 +58,30 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     except CharmsBenchError as error:
         yield Finding("tables", "", "unknown", f"cannot be computed again: {error}")
         return
+    recorded, blobs = run.folder.manifest().get("modules", {}), module_blobs()
+    deciding = row_modules(entry=run_files.__name__)
+    is_own = all(recorded.get(name) == blobs[name] for name in deciding)
     expected: dict[str, bytes] = {}
     for table, introduction in made:
         expected |= run_files.table_files(table, introduction)
     if matrix := matrices(made[0][0]):
         expected[f"{suite.suite}-matrix.md"] = run_files.matrix_page(matrix)
-    count = 0
+    found: list[Finding] = []
     wrong: Verdict
     for name, data in expected.items():
         if name not in unknown and (what := _difference(folder / "tables" / name, data)):
-            count += 1
             wrong = "fail" if is_own or _is_false(folder / "tables", name, expected) else "unknown"
-            yield Finding("tables", f"tables/{name}", wrong, what)
+            found.append(Finding("tables", f"tables/{name}", wrong, what))
     if suite.references:
         unknown |= {f"{suite.suite}-realism.{kind}" for kind in ("csv", "md")}
     for path in sorted((folder / "tables").glob("*")):
         if path.name not in expected and path.name not in unknown:
-            count += 1
             is_suites = re.fullmatch(rf"{suite.suite}(-[a-z]+)?\.(csv|md)", path.name)
             wrong = "unknown" if is_suites and not is_own else "fail"
-            yield Finding("tables", f"tables/{path.name}", wrong, "is not a table of this suite")
-    if not count:
-        what = f"{len(expected)} files, computed again from the rows in the folder, are the same"
-        yield Finding("tables", "", "pass", what)
+            what = "is not a table of this suite"
+            found.append(Finding("tables", f"tables/{path.name}", wrong, what))
+    same = f"{len(expected)} files, computed again from the rows in the folder, are the same"
+    yield from found or [Finding("tables", "", "pass", same)]
 
 
 def _is_false(tables: Path, name: str, expected: Mapping[str, bytes]) -> bool:

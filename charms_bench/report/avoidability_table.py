@@ -1,5 +1,6 @@
 """The table of avoidability: one row per collision of the ego."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 from charms_bench.episodes.avoidability import Avoidability
@@ -44,33 +45,29 @@ def rescuers_table(found: Sequence[Avoidability], references: Sequence[str] = ()
 
     `references` are the suite's drivers by which collisions are preventable.
     """
-    tried = sorted({name for each in found for name in (*each.avoided_by, *each.hit_by)})
-    records: list[dict[str, object]] = []
-    for name in tried:
-        avoided = sum(name in each.avoided_by for each in found)
-        of = avoided + sum(name in each.hit_by for each in found)
-        records.append({"agent": name, "avoided": avoided, "of": of})
-    records.sort(key=lambda record: -int(str(record["avoided"])))
+    avoided = Counter(name for each in found for name in each.avoided_by)
+    tried = avoided + Counter(name for each in found for name in each.hit_by)
+    records = [
+        {"agent": name, "avoided": avoided[name], "of": tried[name]}
+        for name in sorted(tried, key=lambda name: (-avoided[name], name))
+    ]
     columns = (
         Column("avoided", "", "Collisions that the agent avoids", form=".0f"),
         Column("of", "", "Collisions that it was tried on", form=".0f"),
     )
     title = "Who avoids them, driving the ego from the last decision with an escape"
     avoid = "avoid" if len(references) > 1 else "avoids"
-    note = (
+    note = bool(references) * (
         f"A collision is preventable, in contrast, if {' and '.join(references)} {avoid} it when "
         "driving the ego from the start of the episode."
     )
-    return Table.from_records(
-        records, "avoidability-agents", title, ("agent",), columns, note=note * bool(references)
-    )
+    name = "avoidability-agents"
+    return Table.from_records(records, name, title, ("agent",), columns, note)
 
 
 def in_words(found: Sequence[Avoidability]) -> str:
     """How many collisions have each verdict."""
-    count = dict.fromkeys(("avoidable", "spawn", "unknown"), 0)
-    for each in found:
-        count[each.verdict] += 1
+    count = Counter(each.verdict for each in found)
     single = sum(each.replacement is not None for each in found)
     return (
         f"{counted(len(found), 'collision')} of the ego: {count['avoidable']} avoidable by its "

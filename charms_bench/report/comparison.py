@@ -108,18 +108,16 @@ def by_pair(table: Table, metrics: Collection[str] | None = None) -> list[Table]
     shown.
     """
     shown = table.take(range(len(COLUMNS) - 1))
-    if metrics is not None:
-        rows = tuple(row for row in shown.rows if row.labels[-1] in metrics)
-        shown = replace(shown, rows=rows)
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in shown.rows:
-        groups.setdefault(row.labels[:-1], []).append(replace(row, labels=row.labels[-1:]))
+        if metrics is None or row.labels[-1] in metrics:
+            groups.setdefault(row.labels[:-1], []).append(_headed(row))
     found = [
         replace(
             shown.named(first, second, "difference", "p", "detectable"),
             title=f"{first} minus {second}, in {traffic}: {set_label_of(metric_set)}",
             keys=KEYS[-1:],
-            rows=tuple(_headed(row, metric_set) for row in rows),
+            rows=tuple(rows),
             note="",
         )
         for (first, second, traffic, metric_set), rows in groups.items()
@@ -127,9 +125,9 @@ def by_pair(table: Table, metrics: Collection[str] | None = None) -> list[Table]
     return [*found[:-1], *(replace(each, note=table.note) for each in found[-1:])]
 
 
-def _headed(row: Row, metric_set: str) -> Row:
-    """A row with the heading of its metric, and proportions in percent."""
-    column = installed_column(metric_set, row.labels[0])
+def _headed(row: Row) -> Row:
+    """A row with the heading of its metric as its label, and proportions in percent."""
+    column = installed_column(*row.labels[-2:])
     if column.form != "%":
         return replace(row, labels=(column.title,))
     numbers = (number.scaled(100.0) for number in row.numbers[:3])

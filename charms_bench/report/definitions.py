@@ -10,9 +10,8 @@ from charms_bench.metrics.metric import Interval
 from charms_bench.report.table import Column
 from charms_bench.runs.metric_sets import asked_by, metric_sets
 
-RESAMPLED = "percentiles of resampled episodes"
 INTERVALS: Mapping[Interval, str] = {
-    "bootstrap": RESAMPLED,
+    "bootstrap": "percentiles of resampled episodes",
     "proportion": "Wilson's score interval with the effective sample size of correlated "
     "observations",
     "rate": "score interval of a Poisson rate with the effective number of correlated events",

@@ -3,7 +3,7 @@
 A mixed traffic has a row per agent, so the table shows what each driving style contributes.
 """
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from itertools import product
 
 import numpy as np
@@ -33,15 +33,13 @@ def part_of(suite: Suite, cell: CellRows) -> pl.DataFrame:
     """
     sums = _sums(cell)
     roads = [each.title for each in suite.traffics if each.traffic.road is not None]
-    metrics = OF_DRIVERS * len(sums)
     every = [each for of_driver in sums.values() for each in of_driver]
-    estimates = estimate(metrics, every, suite.seed)
-    records = []
-    for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True):
-        if metric.name == "crashed_at_fault" and cell.traffic in roads:
-            continue  # see `recording.recording`
-        numbers = (found.value, found.low, found.high, found.n)
-        records.append((cell.agent, cell.traffic, driver, metric.name, *numbers))
+    estimates = estimate(OF_DRIVERS * len(sums), every, suite.seed)
+    records = [
+        (cell.agent, cell.traffic, driver, metric.name, *astuple(found))
+        for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True)
+        if metric.name != "crashed_at_fault" or cell.traffic not in roads  # `recording.recording`
+    ]
     return long_frame(records, KEYS, LONG)
 
 

@@ -85,19 +85,22 @@ def _text(number: float | None, form: str) -> str:
     return f"{number:{form}}".replace("%", " %").replace("inf", "∞")
 
 
+def _decimals(value: float, digits: int) -> int:
+    """The decimals with which a number above 0 has so many digits."""
+    return digits - 1 - math.floor(math.log10(value))
+
+
 def _four_digits(numbers: Iterable[Number]) -> str:
     """The form for a column: four digits of its largest number, three of one below 1."""
-    largest = _largest(numbers)
-    magnitude = math.floor(math.log10(largest)) if largest else 0
-    decimals = min(5, 2 - magnitude) if magnitude < 0 else max(0, 3 - magnitude)
+    largest = _largest(numbers) or 1.0
+    decimals = min(5, _decimals(largest, 3)) if largest < 1 else max(0, _decimals(largest, 4))
     return f"{',' * (largest >= 1_000)}.{decimals}f"
 
 
 def _percentage(numbers: Iterable[Number]) -> str:
     """The form for proportions: three digits of the largest percentage, 1 to 3 decimals."""
     largest = 100 * _largest(numbers)
-    decimals = 2 - math.floor(math.log10(largest)) if largest else 1
-    return f".{min(3, max(1, decimals))}%"
+    return f".{min(3, max(1, _decimals(largest, 3)))}%" if largest else ".1%"
 
 
 def _largest(numbers: Iterable[Number]) -> float:
@@ -110,15 +113,11 @@ def _largest(numbers: Iterable[Number]) -> float:
 def _two_digits_of_margin(number: Number, factor: float = 1.0) -> str:
     """The form for a number: two digits of the half-width of its interval, which limits it.
 
-    It is without the letter of its type, and for the number times a factor.
+    It is without the letter of its type, and for the number times a factor. A number without an
+    interval has three digits.
     """
-    value, high = number.value, number.high
-    if value is None or high is None or high <= value or not math.isfinite(high - value):
-        return _three_digits((value or 0.0) * factor)
-    return f".{max(0, 1 - math.floor(math.log10((high - value) * factor)))}"
-
-
-def _three_digits(value: float) -> str:
-    """The form for a number without an interval."""
-    magnitude = math.floor(math.log10(abs(value))) if value and math.isfinite(value) else 2
-    return f".{min(5, max(0, 2 - magnitude))}"
+    value, high = number.value or 0.0, number.high
+    if number.value is not None and high is not None and 0 < high - value < math.inf:
+        return f".{max(0, _decimals((high - value) * factor, 2))}"
+    known = abs(value * factor)
+    return f".{min(5, max(0, _decimals(known, 3)))}" if 0 < known < math.inf else ".0"

@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import chain
 
 from charms_bench.report import left_out
-from charms_bench.report.number import Cell, Number
+from charms_bench.report.number import Number
 from charms_bench.report.stored import RunTables
 from charms_bench.report.suite_table import MATRICES, matrices, one_per_metric, printed
 from charms_bench.report.table import Column, Row, Table
@@ -24,35 +24,32 @@ QUANTITY = {"speed": "Speed", "dhw": "Headway"}
 
 def headline(suite: Suite, tables: RunTables) -> Table:
     """The table that is the point of a suite, from the tables of its run."""
-    if tables.preventable is not None and tables.realism is None:
+    if tables.realism is not None:
+        found = _realism(tables.realism)
+    elif tables.preventable is not None:
         return tables.preventable.without_constant_keys()
-    found = _headline(suite, tables)
+    elif tables.pairs is not None:
+        found = pair_matrix(tables.pairs)
+    else:
+        start = f"{suite.suite}-"
+        by_metric = {each.name.removeprefix(start): each for each in matrices(tables.metrics)}
+        shown = [by_metric[name] for name in (*suite.columns, *MATRICES) if name in by_metric]
+        found = shown[0] if shown else _columns(suite, tables.metrics)
     said = left_out.said_of(tables.metrics.frame(), "metric")
     return replace(found, note=" ".join(filter(None, (found.note, said))))
-
-
-def _headline(suite: Suite, tables: RunTables) -> Table:
-    if tables.realism is not None:
-        return _realism(tables.realism)
-    if tables.pairs is not None:
-        return pair_matrix(tables.pairs)
-    by_name = {each.name.removeprefix(f"{suite.suite}-"): each for each in matrices(tables.metrics)}
-    for metric in (*suite.columns, *MATRICES):
-        if metric in by_name:
-            return by_name[metric]
-    return _columns(suite, tables.metrics)
 
 
 def pair_matrix(pairs: Table) -> Table:
     """In how many metrics each two egos differ, from the table of pairs; egos have numbers."""
     names = list(dict.fromkeys(chain.from_iterable(row.labels for row in pairs.rows)))
     apart = {row.labels: sum(number.marked for number in row.numbers) for row in pairs.rows}
-    rows = []
-    for k, name in enumerate(names, 1):
-        cells: list[Cell] = [
-            Number(apart.get((name, other), apart.get((other, name)))) for other in names
-        ]
-        rows.append(Row((f"{k} {name}",), tuple(cells)))
+    rows = [
+        Row(
+            (f"{k} {one}",),
+            tuple(Number(apart.get((one, other), apart.get((other, one)))) for other in names),
+        )
+        for k, one in enumerate(names, 1)
+    ]
     compared = "; ".join(column.heading for column in pairs.columns)
     return Table(
         f"{pairs.name}-matrix",

@@ -24,9 +24,14 @@ _SCORES = {name: name.replace("_", " ") for name in (*COMPONENTS, "total")}
 
 def likeness_tables(rows: Sequence[Likeness], controls: Sequence[Likeness]) -> Iterator[Table]:
     """The scores, what the drivers did, and the controls if there are any."""
-    yield Table.plain(map(_scores, rows), ("driver", "kind"), dict.fromkeys(_SCORES.values(), ""))
-    forms = dict(CONDUCT.values())
-    yield Table.plain(map(_conduct, rows), ("driver", "kind"), forms)
+    keys, named = ("driver", "kind"), [{"driver": each.label, "kind": each.kind} for each in rows]
+    scores = [known | _shown(each.scores) for known, each in zip(named, rows, strict=True)]
+    yield Table.plain(scores, keys, dict.fromkeys(_SCORES.values(), ""))
+    conduct = [
+        known | {title: each.conduct[name] for name, (title, _) in CONDUCT.items()}
+        for known, each in zip(named, rows, strict=True)
+    ]
+    yield Table.plain(conduct, keys, dict(CONDUCT.values()))
     if controls:
         yield controls_table(controls)
 
@@ -40,10 +45,6 @@ def controls_table(controls: Sequence[Likeness]) -> Table:
     return Table.plain(records, ("driver",), dict.fromkeys(_SCORES.values(), ""))
 
 
-def _scores(row: Likeness) -> dict[str, str]:
-    return {"driver": row.label, "kind": row.kind} | _shown(row.scores)
-
-
 def _shown(scores: Mapping[str, Score]) -> dict[str, str]:
     return {
         title: f"{scores[name].value:z.2f} [{scores[name].low:z.2f}, {scores[name].high:z.2f}]"
@@ -51,8 +52,3 @@ def _shown(scores: Mapping[str, Score]) -> dict[str, str]:
         else ""
         for name, title in _SCORES.items()
     }
-
-
-def _conduct(row: Likeness) -> dict[str, str | float | None]:
-    numbers = {title: row.conduct[name] for name, (title, _) in CONDUCT.items()}
-    return {"driver": row.label, "kind": row.kind} | numbers

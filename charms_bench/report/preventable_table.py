@@ -6,15 +6,16 @@ them avoids have their own columns.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from charms_bench.metrics.collisions import ENDED_BADLY
-from charms_bench.metrics.labels import label_of
 from charms_bench.metrics.rows import join_rows
 from charms_bench.report import left_out
+from charms_bench.report.definitions import INTERVALS
 from charms_bench.report.table import ESTIMATE, Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
@@ -86,28 +87,28 @@ def verdicts(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, str, in
 def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """The proportions of preventable and other collisions of every cell, with 95 % intervals."""
     records: list[tuple[object, ...]] = []
-    kinds_of_each = kinds_of(suite, cells)
-    for cell in cells:
-        if (kinds := kinds_of_each.get((cell.agent, cell.traffic))) is None:
-            continue
+    by_cell = {(cell.agent, cell.traffic): cell for cell in cells}
+    for labels, kinds in kinds_of(suite, cells).items():
+        cell = by_cell[labels]
         shares: list[tuple[object, ...]] = []
         for name, each in {"crashed": crashed(cell), **kinds}.items():
             count = int(each.sum())
             shares.append((name, count / each.size, *wilson(count, each.size), each.size))
-        shares.insert(2, (BRAKING, strongest_braking(suite, cell), None, None, cell.size))
+        braking = (BRAKING, strongest_braking(suite, cell), None, None, cell.size)
         every = cell.size + cell.left_out
-        shares.append((left_out.NAME, cell.left_out / every, None, None, every))
-        records += [(cell.agent, cell.traffic, *each) for each in shares]
+        left = (left_out.NAME, cell.left_out / every, None, None, every)
+        numbers = (*shares[:2], braking, *shares[2:], left)
+        records += [(*labels, *each) for each in numbers]
     return from_frame(pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row"), suite)
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     """The table of preventable collisions from its long frame."""
-    references = " and ".join(suite.preventable_by)
+    references, several = " and ".join(suite.preventable_by), len(suite.preventable_by) > 1
     shares = {
         "crashed": "proportion of episodes in which the ego collides or leaves the road",
         "preventable": f"proportion of episodes in which it does so and {references} "
-        f"{'do' if len(suite.preventable_by) > 1 else 'does'} not",
+        f"{'do' if several else 'does'} not",
         "not_preventable": f"proportion of episodes in which it and {references} do so",
         BRAKING: "largest deceleration of the ego in any episode: change of speed between two "
         "decisions, divided by their interval",
@@ -115,26 +116,19 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         "prescribed vehicles collide with one another in them",
     }
     for name in suite.preventable_by:
-        so = "proportion of episodes in which it does so and"
-        shares[ONLY + name] = f"{so}, of {references}, only {name} does not"
-
-    def column(_: str, name: str) -> Column:
-        if name == BRAKING:
-            label = label_of(name)
-            return Column(name, "m/s²", shares[name], "episodes", form=".1f", label=label)
-        if name == left_out.NAME:
-            counted = "concrete scenarios"
-            return Column(name, "", shares[name], counted, form=".1%", label=label_of(name))
-        return Column(
-            name=name,
-            label=f"{name[0].upper()}{name[1:]}".replace("_", " "),
-            definition=shares.get(name, ""),
-            counted="episodes",
-            interval="Wilson's score interval of a proportion of episodes",
-            form=".1%",
+        shares[ONLY + name] = (
+            f"proportion of episodes in which it does so and, of {references}, only {name} does not"
         )
 
-    avoid = "avoid" if len(suite.preventable_by) > 1 else "avoids"
+    def column(_: str, name: str) -> Column:
+        label = f"{name[0].upper()}{name[1:]}".replace("_", " ")
+        known = Column(name, "", shares.get(name, ""), "episodes", form=".1%", label=label)
+        if name == BRAKING:
+            return replace(known, unit="m/s²", form=".1f")
+        if name == left_out.NAME:
+            return replace(known, counted="concrete scenarios")
+        return replace(known, interval=INTERVALS["wilson"])
+
     return Table.from_frame(
         frame,
         f"{suite.suite}-preventable",
@@ -142,6 +136,6 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         KEYS,
         LONG,
         column,
-        note=f"A collision is preventable if {references} {avoid} it in the same episode. "
-        f"{left_out.said_of(frame, 'share')}".rstrip(),
+        note=f"A collision is preventable if {references} {'avoid' if several else 'avoids'} it in "
+        f"the same episode. {left_out.said_of(frame, 'share')}".rstrip(),
     )

@@ -23,8 +23,6 @@ INTERVAL = (
     "Student's t on the logarithm of the mean of the independent runs, with the larger of its "
     "variance and that of a lognormal mean (Cox's method); Wilson's if the pilot has one level"
 )
-
-
 MEANING = (
     "probability: in one episode, with its 95 % interval. episodes: simulated in the pilot and "
     "all runs. plain episodes: what plain simulation would need for an interval as narrow."
@@ -39,24 +37,30 @@ def rare_table(
 
     `name` is that of its files, `definition` says what the event is.
     """
-    columns = _columns(f"that {definition}")
-    records = []
-    numbers = [_probability(each, samples) for each in cells]
-    for each, number in zip(cells, numbers, strict=True):
-        records.append(
-            {
-                "agent": each.cell.ego.title,
-                "traffic": each.cell.traffic.title,
-                "probability": number,
-                "runs": len(each.runs),
-                "levels": len(each.pilot.thresholds),
-                "episodes": number.n,
-                "plain_episodes": plain_episodes(number),
-            }
-        )
+    records = [
+        {
+            "agent": each.cell.ego.title,
+            "traffic": each.cell.traffic.title,
+            "probability": (number := _probability(each, samples)),
+            "runs": len(each.runs),
+            "levels": len(each.pilot.thresholds),
+            "episodes": number.n,
+            "plain_episodes": plain_episodes(number),
+        }
+        for each in cells
+    ]
     title = f"{suite.title or suite.suite}: probability that {definition}"
-    note = _note(cells, numbers)
-    return Table.from_records(records, name, title, KEYS, columns, note)
+    columns = _columns(f"that {definition}")
+    table = _noted(Table.from_records(records, name, title, KEYS, columns))
+    lost = {each.cell.title: [run.probability for run in each.runs].count(0) for each in cells}
+    counts = [f"{title}: {n} of {len(cells[0].runs)}" for title, n in lost.items() if n]
+    if not counts:
+        return table
+    more = (
+        f" Runs that did not reach the event count as 0 ({'; '.join(counts)}). If these are many, "
+        "use more samples per level, unless the ego never has the event."
+    )
+    return replace(table, note=table.note + more)
 
 
 def stored_rare(folder: Path) -> Table:
@@ -83,9 +87,7 @@ def stored_rare(folder: Path) -> Table:
         LONG,
         lambda _, name: columns.get(name, Column(name)),
     )
-    titles = [" in ".join(row.labels) for row in table.rows]
-    note = f"{MEANING} {_beside_plain(titles, [row.numbers[0] for row in table.rows])}"
-    return replace(table, note=note.rstrip())
+    return _noted(table)
 
 
 def _columns(of: str) -> tuple[Column, ...]:
@@ -141,18 +143,16 @@ def plain_episodes(number: Number) -> float | None:
 
 
 def _probability(cell: RareCell, samples: int) -> Number:
-    low, high = interval(cell.runs, samples)
+    low, high = (None if math.isnan(end) else end for end in interval(cell.runs, samples))
     value = sum(run.probability for run in cell.runs) / len(cell.runs)
-    episodes = sum(run.evaluations for run in (cell.pilot, *cell.runs))
-    if math.isnan(low):
-        return Number(value, n=episodes)
-    return Number(value, low, high, episodes)
+    return Number(value, low, high, sum(run.evaluations for run in (cell.pilot, *cell.runs)))
 
 
-def _beside_plain(titles: Sequence[str], numbers: Sequence[Number]) -> str:
-    """How wide the intervals are, and how wide those of as many plain episodes would be."""
+def _noted(table: Table) -> Table:
+    """The table with a note: how wide its intervals are, and those of as many plain episodes."""
     found, is_wider = [], False
-    for title, number in zip(titles, numbers, strict=True):
+    for row in table.rows:
+        title, number = " in ".join(row.labels), row.numbers[0]
         if not number.value or number.n is None or number.low is None or number.high is None:
             continue
         low, high = wilson(number.value * number.n, number.n)
@@ -160,30 +160,14 @@ def _beside_plain(titles: Sequence[str], numbers: Sequence[Number]) -> str:
         is_wider |= ratio > high / low
         found.append(f"{title}, {_two_digits(ratio)} ({_two_digits(high / low)})")
     if not found:
-        return ""
+        return replace(table, note=MEANING)
     advice = " Where it is smaller, use more samples per level, or count with `charms-bench run`."
-    return (
-        "Ratio of the interval's ends (in parentheses, that of as many plain episodes): "
+    note = (
+        f"{MEANING} Ratio of the interval's ends (in parentheses, that of as many plain episodes): "
         f"{'; '.join(found)}.{advice * is_wider}"
     )
+    return replace(table, note=note)
 
 
 def _two_digits(ratio: float) -> str:
     return f"{float(f'{ratio:.2g}'):,.10g}"
-
-
-def _note(cells: Sequence[RareCell], numbers: Sequence[Number]) -> str:
-    """How to read the table, and what to know of runs that have not reached the event."""
-    titles = [each.cell.title for each in cells]
-    meaning = f"{MEANING} {_beside_plain(titles, numbers)}".rstrip()
-    lost = [each for each in cells if any(run.probability == 0 for run in each.runs)]
-    if not lost:
-        return meaning
-    which = "; ".join(
-        f"{each.cell.title}: {sum(run.probability == 0 for run in each.runs)} of {len(each.runs)}"
-        for each in lost
-    )
-    return (
-        f"{meaning} Runs that did not reach the event count as 0 ({which}). If these are many, use "
-        "more samples per level, unless the ego never has the event."
-    )

@@ -50,15 +50,7 @@ DISTANCES = {
     f"moved, on average, to become the other. Its bins are {BIN:g} m/s and {BIN:g} m wide",
 }
 """What each distance is."""
-COUNTED = "simulated vehicles, each at a decision"
-"""What n counts."""
-RESAMPLED = (
-    "from resampled episodes and resampled human recordings, of the distance expected with as many "
-    "recordings; for the sampling-noise floor, the range of 95 % of such distances"
-)
 FLOOR = "(sampling-noise floor)"
-FLOOR_BEFORE = "(perfect simulator)"
-"""What the tables of earlier versions call it."""
 WITHIN_LIMITS = "(speed limits of the profile)"
 OVERSHOOT_MPS = 0.4
 """A vehicle leaves the profile's range of speeds by as much in one step of 1/15 s, at 6 m/s²; then
@@ -103,14 +95,9 @@ def realism_table(
     records = []
     for quantity in QUANTITIES:
         counts = {each.traffic: each.of_quantity(quantity) for each in traffics}
-        simulated = {
-            name: (
-                each.sum(axis=0).astype(np.float64),
-                resampled_totals([each], suite.seed),
-            )
-            for name, each in counts.items()
-        }
-        n = round(float(np.median([totals.sum() for totals, _ in simulated.values()])))
+        totals = {name: each.sum(axis=0).astype(np.float64) for name, each in counts.items()}
+        resampled = {name: resampled_totals([each], suite.seed) for name, each in counts.items()}
+        n = round(float(np.median([each.sum() for each in totals.values()])))
         for reference in references:
             units = reference.units(quantity)
             if not len(units):
@@ -120,11 +107,11 @@ def realism_table(
             humans = resampled_totals([units], rng)
             rows = {
                 name: (
-                    distances(human, totals, quantity),
-                    distances(humans, resampled, quantity),
-                    round(totals.sum()),
+                    distances(human, each, quantity),
+                    distances(humans, resampled[name], quantity),
+                    round(each.sum()),
                 )
-                for name, (totals, resampled) in simulated.items()
+                for name, each in totals.items()
             }
             if quantity == "speed":
                 nearest, spread = (smallest_distances(each, limits, n) for each in (human, humans))
@@ -132,8 +119,7 @@ def realism_table(
             for name, (found, spread, count) in rows.items():
                 for metric, value in found.items():
                     interval = around(float(value), spread[metric], len(units))
-                    numbers = (float(value), *interval, count)
-                    records.append((name, reference.name, metric, *numbers))
+                    records.append((name, reference.name, metric, float(value), *interval, count))
             if len(units) > 1:
                 truth, samples = perfect_samples(units, rng)
                 for metric, scored in distances(samples, n * truth, quantity).items():
@@ -153,9 +139,8 @@ def smallest_distances(human: Floats, limits: tuple[float, float], n: int) -> di
     """
     width = round(COARSE_BIN["speed"] / BIN)
     lowest, highest = (int(bins_of(limit)) for limit in limits)
-    inside = (np.arange(BINS) >= lowest // width * width) & (
-        np.arange(BINS) // width * width <= highest
-    )
+    wide = np.arange(BINS) // width
+    inside = (wide >= lowest // width) & (wide <= highest // width)
     clipped = human @ np.eye(BINS)[np.arange(BINS).clip(lowest, highest)]
     counts = human * inside
     total = counts.sum(axis=-1, keepdims=True)
@@ -167,7 +152,7 @@ def smallest_distances(human: Floats, limits: tuple[float, float], n: int) -> di
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     """The table of realism from its long frame; the nearest traffics are marked, see `NOTE`."""
     table = Table.from_frame(
-        frame.with_columns(pl.col("traffic").replace(FLOOR_BEFORE, FLOOR)),
+        frame,
         f"{suite.suite}-realism",
         "Distance of traffic models from human driving",
         KEYS,
@@ -175,8 +160,9 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         _column,
         note=f"{NOTE} {suite.note}".rstrip(),
     )
-    columns = range(len(table.columns))
-    nearest = [_nearest({row.labels[0]: row.numbers[i] for row in table.rows}) for i in columns]
+    names = [row.labels[0] for row in table.rows]
+    columns = map(table.column, range(len(table.columns)))
+    nearest = [_nearest(dict(zip(names, numbers, strict=True))) for numbers in columns]
     rows = []
     for row in table.rows:
         pairs = zip(row.numbers, nearest, strict=True)
@@ -207,8 +193,10 @@ def _column(reference: str, metric: str) -> Column:
         name=metric,
         label=LABELS.get(metric, ""),
         definition=DISTANCES.get(distance, "Unknown distance"),
-        counted=COUNTED,
-        interval=RESAMPLED,
+        counted="simulated vehicles, each at a decision",
+        interval="from resampled episodes and resampled human recordings, of the distance "
+        "expected with as many recordings; for the sampling-noise floor, the range of 95 % of such "
+        "distances",
         group=reference,
         quantity=quantity,
         form=".3f",

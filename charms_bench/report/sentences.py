@@ -69,7 +69,7 @@ def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells
         f"{' each' * (len(tied) > 1)}. {following[0]} is next with {_rate(following[1])}. The "
         f"difference is {_percent(value)} percentage points ({INTERVAL} {_percent(low)} to "
         f"{_percent(high)}), and the paired test {_verdict(min(1.0, p * pairs))}, corrected for "
-        f"{pairs:,} possible pair{'s' * (pairs > 1)})."
+        f"{counted(pairs, 'possible pair')})."
     )
 
 
@@ -113,11 +113,11 @@ def _of_traffics(ego: str, found: Rates, places: str) -> str:
     (least, low), (most, high) = found[0], found[-1]
     if low.value == high.value:
         return f"{ego} crashed equally often in all {len(found)} {places}: {_rate(low)}."
-    overlap = low.high is None or high.low is None or low.high >= high.low
+    is_apart = low.high is not None and high.low is not None and low.high < high.low
+    verdict = "do not overlap." if is_apart else "overlap: the difference may be chance."
     return (
         f"{ego} crashed most often in {most}: {_rate(high)}; and least often in {least}: "
-        f"{_rate(low)}. The two intervals "
-        + ("overlap: the difference may be chance." if overlap else "do not overlap.")
+        f"{_rate(low)}. The two intervals {verdict}"
     )
 
 

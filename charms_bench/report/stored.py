@@ -43,8 +43,7 @@ class RunTables:
 
     def each(self) -> list[Table]:
         """The tables that there are."""
-        found = (self.metrics, self.realism, self.pairs, self.preventable, self.drivers)
-        return [table for table in found if table is not None]
+        return [table for table in vars(self).values() if table is not None]
 
 
 def holds(folder: Path, name: str) -> bool:

@@ -1,7 +1,7 @@
 """The table of a suite: every metric of every cell; and its matrices of egos and traffics."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import polars as pl
 
@@ -37,32 +37,20 @@ NO_DIRECTION = ("speed_mean", "lane_changes_per_km")
 """Neither higher nor lower values of these are better; lower values of all others are."""
 
 
-def suite_table(
-    suite: Suite, cells: Sequence[CellRows], metric_sets: Sequence[MetricSet] = ()
-) -> Table:
-    """The metrics of every cell with 95 % intervals, beside the paper's values.
-
-    By default, the metric sets are the suite's.
+def part_of(suite: Suite, cell: CellRows, metric_sets: Sequence[MetricSet]) -> pl.DataFrame:
+    """The part of one cell in the table's long frame: metrics with 95 % intervals, paper's values.
 
     The suite's seed is that of the resamples, which are the same for cells with the same number of
     episodes.
     """
-    metric_sets = metric_sets or suite.metric_sets
-    frame = pl.concat(part_of(suite, cell, metric_sets) for cell in cells)
-    return from_frame(frame, suite, metric_sets)
-
-
-def part_of(suite: Suite, cell: CellRows, metric_sets: Sequence[MetricSet]) -> pl.DataFrame:
-    """The part of one cell in the table's long frame; see `suite_table`."""
-    metrics = [metric for metric_set in metric_sets for metric in metric_set.metrics]
-    names = [(each.label, metric.name) for each in metric_sets for metric in each.metrics]
-    sums = cell.sums(metrics, suite.scene)
-    estimates = estimate(metrics, sums, suite.seed)
-    records = []
-    for (label, metric), found in zip(names, estimates, strict=True):
-        paper = cell.paper.get(metric) if label == PAPER.label else None
-        numbers = (found.value, found.low, found.high, found.n, paper)
-        records.append((cell.agent, cell.traffic, label, metric, *numbers))
+    labels = [each.label for each in metric_sets for _ in each.metrics]
+    metrics = [metric for each in metric_sets for metric in each.metrics]
+    estimates = estimate(metrics, cell.sums(metrics, suite.scene), suite.seed)
+    paper = {(PAPER.label, name): value for name, value in cell.paper.items()}
+    records = [
+        (cell.agent, cell.traffic, label, each.name, *astuple(found), paper.get((label, each.name)))
+        for label, each, found in zip(labels, metrics, estimates, strict=True)
+    ]
     return long_frame(records, KEYS, LONG)
 
 
@@ -121,25 +109,20 @@ def matrices(table: Table) -> list[Table]:
         for i, column in enumerate(table.columns)
         if column.group.startswith(("roads-", "standard-"))
     }
-    if any(len({row.labels[i] for row in table.rows}) < 2 for i in (0, 1)):
+    egos, traffics = (tuple(dict.fromkeys(row.labels[i] for row in table.rows)) for i in (0, 1))
+    if len(egos) < 2 or len(traffics) < 2:
         return []
     found = []
     for metric, (title, factor) in MATRICES.items():
-        if metric not in places:
+        if (place := places.get(metric)) is None:
             continue
-        matrix = across(table, places[metric], title, factor)
-        found.append(replace(matrix, name=f"{table.name}-{metric}"))
+        column = replace(table.columns[place], group="", unit="", form=",.1f")
+        columns = tuple(replace(column, name=each, label=each) for each in traffics)
+        numbers = {row.labels: row.numbers[place].scaled(factor) for row in table.rows}
+        rows = tuple(
+            Row((ego,), tuple(numbers.get((ego, traffic), Number()) for traffic in traffics))
+            for ego in egos
+        )
+        name = f"{table.name}-{metric}"
+        found.append(Table(name, title, ("ego \\ traffic",), columns, rows))
     return found
-
-
-def across(table: Table, place: int, title: str, factor: float) -> Table:
-    """The column at a place as a matrix, egos down and traffics across, times a factor."""
-    egos, traffics = (tuple(dict.fromkeys(row.labels[i] for row in table.rows)) for i in (0, 1))
-    column = replace(table.columns[place], group="", unit="", form=",.1f")
-    columns = tuple(replace(column, name=each, label=each) for each in traffics)
-    numbers = {row.labels: row.numbers[place].scaled(factor) for row in table.rows}
-    rows = tuple(
-        Row((ego,), tuple(numbers.get((ego, traffic), Number()) for traffic in traffics))
-        for ego in egos
-    )
-    return Table(table.name, title, ("ego \\ traffic",), columns, rows)

@@ -136,16 +136,14 @@ class Table:
         The frame has one number per row, with the columns `keys` and `long`; `define` makes a
         column from its group and name. The other arguments are fields of the table.
         """
-        at = {part: column for column, part in long.items()}
-        parts = {part: column for part, column in at.items() if part not in ("group", "name")}
         columns: dict[tuple[str, str], None] = {}
         rows: dict[tuple[str, ...], dict[tuple[str, str], Number]] = {}
         for record in frame.iter_rows(named=True):
-            group = record[at["group"]] if "group" in at else ""
-            column = (str(group or ""), str(record[at["name"]] or ""))
+            parts = {part: record[column] for column, part in long.items()}
+            column = (str(parts.pop("group", None) or ""), str(parts.pop("name") or ""))
             columns.setdefault(column)
-            number = Number(**{part: record[name] for part, name in parts.items()})
-            rows.setdefault(tuple(str(record[key] or "") for key in keys), {})[column] = number
+            labels = tuple(str(record[key] or "") for key in keys)
+            rows.setdefault(labels, {})[column] = Number(**parts)
         made = tuple(
             Row(labels, tuple(cells.get(column, Number()) for column in columns))
             for labels, cells in rows.items()
@@ -221,13 +219,9 @@ class Table:
 
     def take(self, places: Sequence[int]) -> "Table":
         """The table with only the columns at these places, in this order."""
-        return replace(
-            self,
-            columns=tuple(self.columns[i] for i in places),
-            rows=tuple(
-                replace(row, cells=tuple(row.cells[i] for i in places)) for row in self.rows
-            ),
-        )
+        columns = tuple(self.columns[i] for i in places)
+        rows = (replace(row, cells=tuple(row.cells[i] for i in places)) for row in self.rows)
+        return replace(self, columns=columns, rows=tuple(rows))
 
     def named(self, *names: str) -> "Table":
         """The table with these names of its columns, which are also their headings."""
@@ -245,12 +239,10 @@ class Table:
         parts = self._parts()
         if len(parts) == 1 and not self.columns[0].group:
             return [self]
+        titles = ((set_label_of(group), key_label_of(quantity)) for group, quantity in parts)
         return [
-            replace(
-                self.take(places),
-                title=": ".join(filter(None, (set_label_of(group), key_label_of(quantity)))),
-            )
-            for (group, quantity), places in parts.items()
+            replace(self.take(places), title=": ".join(filter(None, title)))
+            for title, places in zip(titles, parts.values(), strict=True)
         ]
 
     def _parts(self) -> dict[tuple[str, str], list[int]]:

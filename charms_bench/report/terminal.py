@@ -40,11 +40,10 @@ def compact(table: Table, width: int = 100) -> Group:
     widths = fitting(table, width)
     shown = table.take(range(len(widths)))
     more = "; ".join(column.heading for column in table.columns[len(widths) :])
-    below = [Text(table.note)] * bool(table.note) + [Text(f"More columns: {more}.")] * bool(more)
-    above = [Text(table.title)] * bool(table.title)
-    shown = replace(shown, title="")
-    found = _grid(shown, stacked=True, wrapped=_label_width(table) > width // 2, widths=widths)
-    return Group(*above, found, *below)
+    wrapped = _label_width(table) > width // 2
+    found = _grid(replace(shown, title=""), stacked=True, wrapped=wrapped, widths=widths)
+    below = map(Text, filter(None, (table.note, more and f"More columns: {more}.")))
+    return Group(*[Text(table.title)] * bool(table.title), found, *below)
 
 
 def fitting(table: Table, width: int) -> list[int]:
@@ -132,11 +131,10 @@ def _first_columns(table: Table, width: int) -> Table:
 def _grid(
     table: Table, stacked: bool, wrapped: bool, widths: Sequence[int] | None = None
 ) -> RichTable:
-    title = Text(table.title) if table.title else None
+    title, texts = Text(table.title) if table.title else None, write_cells(table)
     made = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     if not stacked:
         made.padding = (0, 1, 0, 0)
-    texts = write_cells(table)
     has_interval = [
         not stacked and any(row[i].low for row in texts) for i in range(len(table.columns))
     ]

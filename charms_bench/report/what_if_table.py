@@ -25,22 +25,22 @@ COLUMNS = (
 
 def what_if_table(found: WhatIf) -> Table:
     """One row per vehicle and future; measures are taken from the decision on."""
-    records = []
-    for pair in found.futures():
-        for name, future in zip(("recorded", "what if"), pair, strict=True):
-            who = "ego" if future.vehicle == found.recorded.ego else f"vehicle {future.vehicle}"
-            records.append(
-                {
-                    "vehicle": who,
-                    "future": name,
-                    "driver": shown_agent(future.agent),
-                    **asdict(future),
-                }
-            )
-            records[-1]["vehicle"] = who
-    driver = shown_agent(found.agent)
+
+    def who(vehicle: int, ego: str) -> str:
+        return ego if vehicle == found.recorded.ego else f"vehicle {vehicle}"
+
+    records = [
+        {
+            **asdict(future),
+            "vehicle": who(future.vehicle, "ego"),
+            "future": name,
+            "driver": shown_agent(future.agent),
+        }
+        for pair in found.futures()
+        for name, future in zip(("recorded", "what if"), pair, strict=True)
+    ]
+    driver, seated = shown_agent(found.agent), who(found.vehicle, "the ego")
     since_s = found.recorded.t_s[found.start]
-    seated = "the ego" if found.vehicle == found.recorded.ego else f"vehicle {found.vehicle}"
     return Table.from_records(
         records,
         "what-if",

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from charms_bench.cli import app
 from charms_bench.errors import DataError, InputError
 from charms_bench.people.survey import Learnable, Survey, survey
+from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.recordings import draw
 
 US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"
@@ -74,7 +75,7 @@ def test_drivers_beside_the_centres_of_their_lanes_are_a_warning(
 def test_recordings_are_surveyed_without_any_sampler(tmp_path: Path) -> None:
     surveyed, learnable = survey(write_trio(tmp_path, busy_road()), {})
     assert surveyed.facts()["cars"] == 30
-    draw(surveyed, learnable, tmp_path / "data.png")
+    save(draw(surveyed, learnable), tmp_path / "data.png")
 
 
 def test_a_mistake_in_a_recording_reaches_the_command(tmp_path: Path) -> None:
@@ -85,7 +86,7 @@ def test_a_mistake_in_a_recording_reaches_the_command(tmp_path: Path) -> None:
 
 def test_a_figure_of_an_unknown_format_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"data\.txt: expected a name that ends in \.pdf, \.png"):
-        draw(*survey(write_trio(tmp_path, busy_road(frames=1)), {}), tmp_path / "data.txt")
+        save(draw(*survey(write_trio(tmp_path, busy_road(frames=1)), {})), tmp_path / "data.txt")
 
 
 @pytest.mark.skipif(not US_101.exists(), reason=f"no recordings in {US_101}")

@@ -12,10 +12,11 @@ from charms_bench.recording.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHE
 from charms_bench.report.markdown import document
 from charms_bench.report.run_files import write_table
 from charms_bench.report.stored import stored_tables
-from charms_bench.report.suite_table import printed, suite_table
+from charms_bench.report.suite_table import from_frame, part_of, printed
 from charms_bench.report.table import Table
 from charms_bench.report.terminal import grid
 from charms_bench.runs.cells import CellRows
+from charms_bench.runs.suite import Suite
 
 
 def cell(
@@ -45,6 +46,11 @@ def cell(
         drivers=[(NO_DRIVERS,)],
         paper=paper or {},
     )
+
+
+def suite_table(suite: Suite, cells: list[CellRows]) -> Table:
+    parts = pl.concat(part_of(suite, each, suite.metric_sets) for each in cells)
+    return from_frame(parts, suite, suite.metric_sets)
 
 
 def row(table: Table, metric: str, metric_set: str = PAPER.label) -> dict[str, object]:

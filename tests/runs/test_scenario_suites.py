@@ -20,7 +20,7 @@ from charms_bench.plugins.specs import AgentSpec
 from charms_bench.report.audit import audit_tables
 from charms_bench.report.preventable_table import crashed
 from charms_bench.report.run_files import write_table
-from charms_bench.report.suite_table import suite_table
+from charms_bench.report.suite_table import from_frame, part_of
 from charms_bench.runs.suite import load_suite
 from charms_bench.world.points import values_at
 from charms_bench.world.scene import Floats, Ints
@@ -218,8 +218,9 @@ def test_a_table_of_before_is_audited_with_the_scenarios_that_it_had(
     blocked: charms_bench.Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = replace(blocked._finished, leaves_out=False)
-    before = suite_table(blocked.suite, whole.cells(), (PAPER, STANDARD))
-    write_table(blocked.path, before)
+    sets = (PAPER, STANDARD)
+    before = pl.concat(part_of(blocked.suite, each, sets) for each in whole.cells())
+    write_table(blocked.path, from_frame(before, blocked.suite, sets))
     monkeypatch.setattr("charms_bench.report.audit.module_blobs", lambda: defaultdict(str))
     found = [each for each in audit_tables(blocked.path, blocked.suite) if each.where]
     assert {each.verdict for each in found} == {"unknown"}

@@ -65,10 +65,9 @@ def connective(module: Module, node: ast.AST) -> Iterator[Edit]:
 
 def condition(module: Module, node: ast.AST) -> Iterator[Edit]:
     """A condition negated, except of those that only report errors."""
-    if isinstance(node, ast.If | ast.IfExp):
-        body = node.body if isinstance(node.body, list) else []
-        if not any(isinstance(each, ast.Raise) for each in body):
-            yield module.span(node.test), f"(not ({module.text(node.test)}))"
+    only_reports = any(isinstance(each, ast.Raise) for each in _body(node))
+    if isinstance(node, ast.If | ast.IfExp) and not only_reports:
+        yield module.span(node.test), f"(not ({module.text(node.test)}))"
 
 
 def _is_text(node: ast.AST) -> bool:

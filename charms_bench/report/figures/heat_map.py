@@ -33,9 +33,7 @@ def draw_matrices(matrices: Sequence[Table]) -> Figure:
     width, height = 1.6 + 0.75 * len(traffics), 1.8 + 0.45 * len(egos)
     figure, every = panels(len(matrices), width, height, SIDE_BY_SIDE)
     for k, (axes, matrix) in enumerate(zip(every, matrices, strict=True)):
-        values = np.array(
-            [[n.value for n in each.numbers] for each in matrix.rows], dtype=np.float64
-        )
+        values = np.array([[n.value for n in row.numbers] for row in matrix.rows], dtype=float)
         texts = [[cell.value for cell in cells] for cells in write_cells(matrix)]
         names = egos if k % SIDE_BY_SIDE == 0 else [""] * len(egos)
         heat_map(axes, values, texts, names, traffics, **_colours(_metric(matrix)))

@@ -1,21 +1,18 @@
 """The likeness of drivers to recorded drivers, as a figure."""
 
 from collections.abc import Sequence
-from pathlib import Path
+
+from matplotlib.figure import Figure
 
 from charms_bench.people.likeness import COMPONENTS
-from charms_bench.report.figures.drawing import EDGE, MARKERS, SERIES, panels, save
+from charms_bench.report.figures.drawing import EDGE, MARKERS, SERIES, panels
 from charms_bench.runs.likeness import Likeness
 
 _LOWEST = -6.0
 
 
-def draw(rows: Sequence[Likeness], path: Path) -> None:
-    """Draws the components and the total of each row; values below -6 lie on the left edge.
-
-    Raises:
-        InputError: The file's ending names no known format, or the file cannot be written.
-    """
+def draw(rows: Sequence[Likeness]) -> Figure:
+    """Draws the components and the total of each row; values below -6 lie on the left edge."""
     figure, (axes,) = panels(1, 7.5, 1.2 + 0.4 * len(rows))
     names = (*COMPONENTS, "total")
     for k, name in enumerate(names):
@@ -36,4 +33,4 @@ def draw(rows: Sequence[Likeness], path: Path) -> None:
     axes.set(xlim=(_LOWEST - 0.1, 2.0), xlabel="likeness: 0 is the floor, 1 the ceiling")
     axes.invert_yaxis()
     axes.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    save(figure, path)
+    return figure

@@ -1,13 +1,12 @@
 """Posterior predictive checks: what drawn drivers do behind the leaders of held-out drivers."""
 
-from pathlib import Path
-
 import numpy as np
+from matplotlib.figure import Figure
 
 from charms_bench.people.calibrated import Calibration
 from charms_bench.people.held_out import HORIZONS_S, SEED, drawn, starts
-from charms_bench.people.trips import RATE_HZ, Trip
-from charms_bench.report.figures.drawing import GREY, LINE_STYLES, SERIES, panels, save
+from charms_bench.people.trips import RATE_HZ
+from charms_bench.report.figures.drawing import GREY, LINE_STYLES, SERIES, panels
 from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats
 
@@ -15,12 +14,8 @@ _RANGES = {"time gap, s": (0.0, 6.0), "acceleration, m/s²": (-2.0, 2.0), "jerk,
 _BINS = 40
 
 
-def draw(found: Calibration, path: Path) -> None:
-    """Draws distributions of recorded and drawn drivers, and the ranks of recorded gaps.
-
-    Raises:
-        InputError: The file's ending names no known format, or the file cannot be written.
-    """
+def draw(found: Calibration) -> Figure:
+    """Draws distributions of recorded and drawn drivers, and the ranks of recorded gaps."""
     rng = np.random.default_rng(SEED)
     predict = drawn(found.fit, found.noise)
     parts = starts(found.held_out)
@@ -40,15 +35,15 @@ def draw(found: Calibration, path: Path) -> None:
         axes.set(xlabel=name, yticks=[])
     distributions[0].legend(frameon=False, fontsize=9)
     for k, horizon_s in enumerate(HORIZONS_S):
-        both = zip(parts, predicted, strict=True)
-        rank = np.sort([_rank(part, gaps, horizon_s) for part, (gaps, _) in both])
+        at, both = horizon_s * RATE_HZ, zip(parts, predicted, strict=True)
+        rank = np.sort([(gaps[:, at] < part.gap[at]).mean() for part, (gaps, _) in both])
         shares = np.arange(1, rank.size + 1) / rank.size
         style = {"color": SERIES[k], "linestyle": LINE_STYLES[k], "label": f"{horizon_s} s"}
         ranks.step(rank, shares, **style)
     ranks.plot([0, 1], [0, 1], color="black", linewidth=0.8)
     ranks.set(xlabel="quantile of the recorded gap", ylabel="proportion")
     ranks.legend(frameon=False, fontsize=9)
-    save(figure, path)
+    return figure
 
 
 def _quantities(gaps: Floats, speeds: Floats) -> tuple[Floats, Floats, Floats]:
@@ -56,8 +51,3 @@ def _quantities(gaps: Floats, speeds: Floats) -> tuple[Floats, Floats, Floats]:
     speeds, gaps = speeds[:, ::RATE_HZ], gaps[:, ::RATE_HZ]
     acceleration = np.diff(speeds, axis=1)
     return time_headway(gaps, speeds), acceleration, np.diff(acceleration, axis=1)
-
-
-def _rank(part: Trip, gaps: Floats, horizon_s: int) -> float:
-    at = horizon_s * RATE_HZ
-    return float((gaps[:, at] < part.gap[at]).mean())

@@ -66,14 +66,10 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
             axes.set_axis_off()  # it is not finished
             continue
         (across, x), (up, y) = points[title]
-        survives = 1.0 - np.mean(
-            [has_crashed[name, title] for name in suite.preventable_by], axis=0
-        )
-        edges = [
-            np.linspace(each.min(), max(each.max(), each.min() + 1e-6), BINS) for each in (x, y)
-        ]
+        crashes = [has_crashed[name, title] for name in suite.preventable_by]
+        edges = [np.linspace(v.min(), max(v.max(), v.min() + 1e-6), BINS) for v in (x, y)]
         total, *_ = np.histogram2d(x, y, edges)
-        survived, *_ = np.histogram2d(x, y, edges, weights=survives)
+        survived, *_ = np.histogram2d(x, y, edges, weights=1.0 - np.mean(crashes, axis=0))
         with np.errstate(invalid="ignore"):
             share = np.ma.masked_invalid(survived / total)
         axes.pcolormesh(*edges, share.T, cmap=FROM_WHITE, vmin=0, vmax=1)

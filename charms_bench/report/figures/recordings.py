@@ -1,21 +1,17 @@
 """The content of a folder of recordings, as a figure."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from charms_bench.people.survey import Learnable, Survey
-from charms_bench.report.figures.drawing import GREY, SERIES, panels, save
+from charms_bench.report.figures.drawing import GREY, SERIES, panels
 from charms_bench.world.following import FOLLOWING_RANGE_M
 
 
-def draw(found: Survey, learnable: Mapping[str, Learnable], path: Path) -> None:
-    """Draws speeds, distances while following and, for each sampler, the labels' shares.
-
-    Raises:
-        InputError: The file's ending names no known format, or the file cannot be written.
-    """
+def draw(found: Survey, learnable: Mapping[str, Learnable]) -> Figure:
+    """Draws speeds, distances while following and, for each sampler, the labels' shares."""
     figure, (speeds, distances, *labels) = panels(2 + len(learnable), 3.7, 3.6)
     speed = found.decisions["speed"].to_numpy()
     speeds.hist(speed, bins=np.arange(np.floor(speed.min()), speed.max() + 1), color=SERIES[0])
@@ -38,4 +34,4 @@ def draw(found: Survey, learnable: Mapping[str, Learnable], path: Path) -> None:
         axes.xaxis.set_major_formatter(lambda share, _: f"{share:z.0%}")
         axes.set(title=f"Labels: {name}")
         axes.legend(frameon=False, fontsize=9)
-    save(figure, path)
+    return figure

@@ -1,5 +1,6 @@
 """The trade-off figure: speed against crashes, or density of a traffic against its crashes."""
 
+from collections.abc import Sequence
 from itertools import count
 from typing import NamedTuple
 
@@ -43,19 +44,19 @@ class Tradeoff(NamedTuple):
 
 
 OF_EGOS = Tradeoff(
-    "speed_mean",
-    "mean speed, m/s",
-    "crashed_episodes",
-    "crashed episodes; hollow: at fault",
-    0,
-    "crashed_at_fault",
+    across="speed_mean",
+    across_label="mean speed, m/s",
+    share="crashed_episodes",
+    share_label="crashed episodes; hollow: at fault",
+    named=0,
+    part="crashed_at_fault",
 )
 OF_TRAFFICS = Tradeoff(
-    "interaction_density",
-    "vehicles within 30 m and a lane of the ego",
-    "traffic_crashed",
-    "crashed vehicles in traffic",
-    1,
+    across="interaction_density",
+    across_label="vehicles within 30 m and a lane of the ego",
+    share="traffic_crashed",
+    share_label="crashed vehicles in traffic",
+    named=1,
 )
 
 
@@ -65,13 +66,9 @@ def tradeoff_of(suite: Suite) -> Tradeoff:
 
 
 def draw_tradeoff(
-    table: Table,
-    tradeoff: Tradeoff,
-    width: float = 8.6,
-    height: float = 5.2,
-    is_narrow: bool = False,
+    table: Table, tradeoff: Tradeoff, size: Sequence[float] = (8.6, 5.2), is_narrow: bool = False
 ) -> Figure:
-    """The cells of a suite's table with their 95 % intervals; width and height are in inches.
+    """The cells of a suite's table with their 95 % intervals; the size is in inches.
 
     Points carry their names, or numbers of a list if there are several groups. A narrow figure has
     the list and the legend below it, and always numbers.
@@ -90,7 +87,7 @@ def draw_tradeoff(
     names = list(dict.fromkeys(row.labels[tradeoff.named] for row in table.rows))
     is_numbered = is_narrow or len(groups) > 1
     below = 0.2 * (len(names) + len(groups)) if is_narrow else 0.0
-    figure, (axes,) = panels(1, width, height + below)
+    figure, (axes,) = panels(1, size[0], size[1] + below)
     texts: list[Annotation] = []
     for index, (group, found) in enumerate(groups.items()):
         across, up = ([numbers[i] for _, *numbers in found] for i in (0, 1))

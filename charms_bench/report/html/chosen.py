@@ -85,13 +85,13 @@ def choose_beside(
 
 def _beside(runs: Sequence[Evaluation], place: Place) -> Place | None:
     index, cell, seed = place
-    suite, metrics = runs[index].run.suite, runs[index].tables.metrics
+    cells, metrics = runs[index].run.suite.cells, runs[index].tables.metrics
     column = metrics.places(CRASHED)
     rates = {row.labels[:2]: row.numbers[column[0]].value for row in metrics.rows if column}
     ranked = [
         (rates.get((each.ego.title, each.traffic.title)) or 0.0, other)
-        for other, each in enumerate(suite.cells)
-        if other != cell and each.traffic is suite.cells[cell].traffic
+        for other, each in enumerate(cells)
+        if other != cell and each.traffic is cells[cell].traffic
     ]
     return (index, min(ranked)[1], seed) if ranked else None
 

@@ -21,16 +21,16 @@ def for_page(
 
     Its sentence and its criticality are those of the decisions from `since` on.
     """
-    view, ego, traffic = ego_view(replay), replay.cell.ego.title, replay.cell.traffic.title
+    view = ego_view(replay)
     measured = criticality(replay.episodes, replay.steps, replay.settings, since)
     label = (
         "Over time: gaps ahead and behind, time to collision, speed and reward of "
-        f"{ego} in {traffic}, episode {replay.episode}"
+        f"{replay.cell.title}, episode {replay.episode}"
     )
     return {
         "id": name,
-        "ego": ego,
-        "traffic": traffic,
+        "ego": replay.cell.ego.title,
+        "traffic": replay.cell.traffic.title,
         "episode": replay.episode,
         "criticality": f"{measured['criticality'].item():z.2f}",
         "what": what_happened(replay, since=since),
@@ -39,8 +39,3 @@ def for_page(
         "timelines": in_page(draw_timelines(replay, view, ghosts), f"replay-{name}", label),
         "packed": pack(replay, view, ghosts),
     }
-
-
-def beside(replay: Replay) -> dict[str, Any]:
-    """An episode for the player only, beside another replay of the same episode."""
-    return pack(replay, ego_view(replay))

@@ -1,21 +1,18 @@
 """Writes a report: one HTML file from run folders."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from charms_bench.episodes.ego_view import ego_view
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute, write_bytes
 from charms_bench.report.html.chosen import asked, choose, choose_beside, futures
-from charms_bench.report.html.episode import beside, for_page
+from charms_bench.report.html.episode import for_page
+from charms_bench.report.html.packed import pack
 from charms_bench.report.html.page import check_page, render
-from charms_bench.report.html.sections import (
-    evaluation_section,
-    table_section,
-    training_section,
-    what_if_section,
-)
-from charms_bench.report.html.sources import Evaluation, Source, TrainingFolder, open_sources
+from charms_bench.report.html.sections import section_of, what_if_section
+from charms_bench.report.html.sources import Evaluation, Source, open_sources
 
 
 def write_report(
@@ -53,19 +50,12 @@ def write_report(
         for name, _, each in chosen
     ]
     more = choose_beside(runs, chosen, suite_folder)
-    others_packed = {other.name: beside(other.replay) for other in more}
+    others_packed = {name: pack(each, ego_view(each)) for name, _, each in more}
     packed = {each["id"]: each["packed"] for each in shown} | others_packed
     for name, (index, _, seed), each in (*chosen, *more):
         traffic = runs[index].run.suite.traffics.index(each.cell.traffic)
         packed[name] |= {"title": each.cell.title, "scene": [index, traffic, seed]}
-    sections = []
-    for source in sources:
-        if isinstance(source, Evaluation):
-            sections.append(evaluation_section(source, suite_folder))
-        elif isinstance(source, TrainingFolder):
-            sections.append(training_section(source))
-        else:
-            sections.append(table_section(source))
+    sections = [section_of(source, suite_folder) for source in sources]
     sections += [what_if_section(each, f"what-if-{name}") for name, each in others.items()]
     page = render(
         sections,
@@ -87,19 +77,16 @@ def write_report(
 
 def _provenance(source: Source) -> dict[str, Any]:
     """Where a run comes from, according to its manifest."""
-    if not isinstance(source, Evaluation):
-        return {"name": source.key, "facts": {"folder": source.path.name}, "agents": {}}
-    manifest = source.run.folder.manifest()
-    versions = {"charms-bench": manifest.get("charms_bench"), **manifest.get("versions", {})}
-    machine = manifest.get("machine", {})
-    return {
-        "name": source.key,
-        "facts": {
-            "folder": source.path.name,
+    facts: dict[str, Any] = {"folder": source.path.name}
+    manifest: Mapping[str, Any] = {}
+    if isinstance(source, Evaluation):
+        manifest = source.run.folder.manifest()
+        versions = {"charms-bench": manifest.get("charms_bench"), **manifest.get("versions", {})}
+        machine = manifest.get("machine", {})
+        facts |= {
             "engine": manifest.get("engine"),
             "suite's hash": manifest.get("suite_sha256"),
             "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
             "machine": ", ".join(f"{name} {value}" for name, value in machine.items()),
-        },
-        "agents": manifest.get("agents", {}),
-    }
+        }
+    return {"name": source.key, "facts": facts, "agents": manifest.get("agents", {})}

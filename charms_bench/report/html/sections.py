@@ -1,6 +1,6 @@
 """The sections of a report, one per run: its tables and the figures that belong to them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from charms_bench.report.figures.paper_values import draw_beside_paper
 from charms_bench.report.figures.preventable import draw_preventable, survivors
 from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
-from charms_bench.report.html.sources import Evaluation, TableFolder, TrainingFolder
+from charms_bench.report.html.sources import Evaluation, Source, TableFolder, TrainingFolder
 from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
 from charms_bench.report.sentences import finding, place
@@ -64,8 +64,20 @@ class Section:
     """What was found, in sentences."""
 
 
-def evaluation_section(source: Evaluation, folder: Path) -> Section:
-    """The section of a suite; relative paths in the suite start at `folder`."""
+def section_of(source: Source, folder: Path) -> Section:
+    """The section of a run folder; relative paths in a suite start at `folder`."""
+    if isinstance(source, Evaluation):
+        return _of_evaluation(source, folder)
+    if isinstance(source, TrainingFolder):
+        return _of_training(source)
+    assert isinstance(source, TableFolder)
+    table, facts = source.table, [f"run folder {source.path.name}"]
+    if not table.rows:
+        return Section(f"run-{source.key}", table.title, [*facts, table.note], [], [])
+    return Section(f"run-{source.key}", table.title, facts, [table], [])
+
+
+def _of_evaluation(source: Evaluation, folder: Path) -> Section:
     suite, tables = source.run.suite, source.tables
     scene, last = suite.scene, suite.seed + suite.episodes - 1
     chosen = one_per_metric(printed(tables.metrics, suite.columns))
@@ -97,7 +109,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
             f"run folder {source.path.name}",
         ),
         tables=shown,
-        pictures=_pictures(source, folder),
+        pictures=[*_pictures(source, folder)],
         more=more,
         drawn_first=bool(matrices(tables.metrics)),
         finding=finding(suite, tables.metrics, tables.realism, source.run.cells),
@@ -115,8 +127,7 @@ def _scenes(suite: Suite) -> str:
     return f"{counted(scene.lanes, 'lane')}, {vehicles}, density {scene.density:g}"
 
 
-def training_section(source: TrainingFolder) -> Section:
-    """The section of a training."""
+def _of_training(source: TrainingFolder) -> Section:
     training = source.training
     assert training.curves is not None
     count = training.curves["stage"].n_unique()
@@ -133,13 +144,6 @@ def training_section(source: TrainingFolder) -> Section:
     )
 
 
-def table_section(source: TableFolder) -> Section:
-    """The section of an estimation or a search."""
-    table = source.table
-    facts = [f"run folder {source.path.name}", *([] if table.rows else [table.note])]
-    return Section(f"run-{source.key}", table.title, facts, [table] if table.rows else [], [])
-
-
 def what_if_section(found: WhatIf, name: str) -> Section:
     """The section of two futures; links call it `name`."""
     recorded, table = found.recorded, what_if_table(found)
@@ -148,57 +152,52 @@ def what_if_section(found: WhatIf, name: str) -> Section:
     return Section(name, table.title, facts, [table], [])
 
 
-def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
+def _pictures(source: Evaluation, folder: Path) -> Iterator[Picture]:
     suite, key = source.run.suite, source.key
     table, pairs = source.tables.metrics, source.tables.pairs
-    found = []
     if beside := draw_beside_paper(table):
         caption = (
             "Discs with 95 % intervals: this run. Diamonds: the paper. An interval that is "
             "narrower than its disc is hidden by it."
         )
-        found.append(_picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True))
+        yield _picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True)
     for k, matrix in enumerate(matrices(table)):
         caption = f"Egos down, {place(suite)}s across. {reading(matrix)}"
         figure = draw_matrices([replace(matrix, title="")])
-        found.append(_picture(f"{key}-matrix-{k}", matrix.title, caption, figure))
+        yield _picture(f"{key}-matrix-{k}", matrix.title, caption, figure)
     tradeoff = tradeoff_of(suite)
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
-        of_egos = tradeoff is OF_EGOS
-        title = f"{'Speed' if of_egos else 'Density'} against safety"
-        caption = (
-            "With 95 % intervals." + " Further right is faster, further down is safer." * of_egos
+        title, caption = "Density against safety", "With 95 % intervals."
+        if tradeoff is OF_EGOS:
+            title = "Speed against safety"
+            caption += " Further right is faster, further down is safer."
+        picture = _picture(
+            f"{key}-tradeoff", title, caption, draw_tradeoff(table, tradeoff, (9.6, 4.4)), wide=True
         )
-        figure = draw_tradeoff(table, tradeoff, 9.6, 4.4)
-        picture = _picture(f"{key}-tradeoff", title, caption, figure, wide=True)
-        small = draw_tradeoff(table, tradeoff, *NARROW_INCHES, is_narrow=True)
+        small = draw_tradeoff(table, tradeoff, NARROW_INCHES, is_narrow=True)
         narrow = in_page(small, f"{key}-tradeoff-narrow", f"{title}. {caption}")
-        found.append(replace(picture, narrow=narrow))
-    if pairs is not None and table.places(*PLACED):
-        title = "Styles apart: where each stands"
-        caption = "Mean speed and mean headway to the leader, with 95 % intervals."
-        found.append(_picture(f"{key}-places", title, caption, draw_places(table)))
+        yield replace(picture, narrow=narrow)
     if pairs is not None:
+        if table.places(*PLACED):
+            caption = "Mean speed and mean headway to the leader, with 95 % intervals."
+            title = "Styles apart: where each stands"
+            yield _picture(f"{key}-places", title, caption, draw_places(table))
+        caption = (
+            f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
+            "(Holm-corrected p < 0.05)."
+        )
         title = "Styles apart: pair by pair"
-        caption = f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
-        caption += "(Holm-corrected p < 0.05)."
-        found.append(_picture(f"{key}-separations", title, caption, draw_separations(pairs)))
-    drawn = draw_preventable(suite, source.run.cells()) if suite.preventable_by else None
-    if drawn is not None:
-        title = "Preventable collisions"
+        yield _picture(f"{key}-separations", title, caption, draw_separations(pairs))
+    if suite.preventable_by and (drawn := draw_preventable(suite, source.run.cells())):
         caption = f"Green: {survivors(suite)}. Points: collisions of the ego."
-        found.append(_picture(f"{key}-preventable", title, caption, drawn, wide=True))
-    if not suite.references:
-        return found
-    following = source.run.following()
+        yield _picture(f"{key}-preventable", "Preventable collisions", caption, drawn, wide=True)
+    following = source.run.following() if suite.references else []
     references = read_references(suite.references, folder)
     caption = "Grey: human driving. Lines: traffic models."
     for quantity, title in TITLE.items():
         for k, (name, counts) in enumerate(recorded(quantity, references).items()):
             figure = draw_quantity(quantity, following, {name: counts})
-            name, shown = f"{key}-{quantity}-{k}", f"{title}: {name}"
-            found.append(_picture(name, shown, caption, figure))
-    return found
+            yield _picture(f"{key}-{quantity}-{k}", f"{title}: {name}", caption, figure)
 
 
 def _picture(name: str, title: str, caption: str, *figures: Figure, wide: bool = False) -> Picture:

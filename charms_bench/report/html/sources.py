@@ -19,37 +19,34 @@ from charms_bench.runs.resumable_folder import MANIFEST
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """The folder of a finished run of a suite."""
+class Source:
+    """A run folder of a report."""
 
     key: str
-    """Its name in the report's links: the suite's, with a number if it is taken."""
+    """Its name in the report's links, such as the suite's, with a number if it is taken."""
     path: Path
+
+
+@dataclass(frozen=True)
+class Evaluation(Source):
+    """The folder of a finished run of a suite."""
+
     run: FinishedRun
     tables: RunTables
 
 
 @dataclass(frozen=True)
-class TrainingFolder:
+class TrainingFolder(Source):
     """The folder of a training."""
 
-    key: str
-    """Its name in the report's links: `training`, with a number if it is taken."""
-    path: Path
     training: Training
 
 
 @dataclass(frozen=True)
-class TableFolder:
+class TableFolder(Source):
     """The folder of `rare` or `search`, which has one table."""
 
-    key: str
-    """Its name in the report's links, with a number if it is taken."""
-    path: Path
     table: Table
-
-
-Source = Evaluation | TrainingFolder | TableFolder
 
 
 def open_sources(paths: Sequence[Path]) -> list[Source]:
@@ -62,26 +59,24 @@ def open_sources(paths: Sequence[Path]) -> list[Source]:
     for path in map(absolute, paths):
         if path.resolve() in {source.path.resolve() for source in sources}:
             raise RunFolderError(f"{path}: is given twice")
-        keys = {source.key for source in sources}
-        if holds(path, RARE):
-            sources.append(TableFolder(unused("rare", keys), path, stored_rare(path)))
-            continue
-        if holds(path, SEARCH):
-            sources.append(TableFolder(unused("search", keys), path, _failures(path)))
-            continue
-        run = open_finished(path) if holds(path, MANIFEST) else None
-        if run is None and not holds(path, CURVES):
-            raise RunFolderError(
-                f"{path}: holds neither an evaluation ({MANIFEST}) nor a training ({CURVES}); "
-                "`charms-bench run` makes both, `rare` and `search` other folders that reports take"
-            )
-        name = "training" if run is None else run.suite.suite
-        key = unused(name, keys)
-        if run is None:
-            sources.append(TrainingFolder(key, path, stored_training(path)))
-        else:
-            sources.append(Evaluation(key, path, run, stored_tables(path, run.suite)))
+        sources.append(_opened(path, {source.key for source in sources}))
     return sources
+
+
+def _opened(path: Path, keys: set[str]) -> Source:
+    if holds(path, RARE):
+        return TableFolder(unused("rare", keys), path, stored_rare(path))
+    if holds(path, SEARCH):
+        return TableFolder(unused("search", keys), path, _failures(path))
+    if holds(path, MANIFEST):
+        run = open_finished(path)
+        return Evaluation(unused(run.suite.suite, keys), path, run, stored_tables(path, run.suite))
+    if holds(path, CURVES):
+        return TrainingFolder(unused("training", keys), path, stored_training(path))
+    raise RunFolderError(
+        f"{path}: holds neither an evaluation ({MANIFEST}) nor a training ({CURVES}); "
+        "`charms-bench run` makes both, `rare` and `search` other folders that reports take"
+    )
 
 
 def _failures(folder: Path) -> Table:
