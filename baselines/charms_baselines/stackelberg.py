@@ -9,13 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charms_baselines.idm import (
-    Motion,
-    distance,
-    interaction,
-    motion,
-    on_own_lane,
-)
+from charms_baselines.idm import Motion, distance, interaction, motion, on_own_lane
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import clip, compiled

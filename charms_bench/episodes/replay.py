@@ -145,10 +145,7 @@ class Seat(NamedTuple):
 
 
 def simulate(
-    cell: RecordedCell,
-    episodes: Sequence[int],
-    seat: Seat | None = None,
-    among: Sequence[int] = (),
+    cell: RecordedCell, episodes: Sequence[int], seat: Seat | None = None, among: Sequence[int] = ()
 ) -> list[Replay]:
     """Simulates episodes of a cell as `replay` does, but does not compare them with the run.
 

@@ -19,12 +19,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
-from charms_bench.world.observations import (
-    CHANGE_SCALE,
-    COMMANDS,
-    REPEATS_SCALE,
-    Neighbours,
-)
+from charms_bench.world.observations import CHANGE_SCALE, COMMANDS, REPEATS_SCALE, Neighbours
 from charms_bench.world.scene import Observations, SceneSettings
 
 HELD_OUT = 0.1

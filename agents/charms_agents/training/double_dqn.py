@@ -20,13 +20,7 @@ from torch.nn.functional import log_softmax
 from charms_agents.training.backpropagation import squared_error
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.hyperparameters import Hyperparameters
-from charms_agents.training.network import (
-    Arrays,
-    load_state,
-    side_by_side,
-    state_arrays,
-    untrained,
-)
+from charms_agents.training.network import Arrays, load_state, side_by_side, state_arrays, untrained
 from charms_agents.training.standardised import folded, standardise
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Observations

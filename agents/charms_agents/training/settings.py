@@ -4,12 +4,7 @@ import math
 from graphlib import TopologicalSorter
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from charms_agents.human.samples import Interface, SampleSettings
 from charms_agents.human.soft_labels import columns_of
