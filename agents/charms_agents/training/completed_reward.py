@@ -98,7 +98,7 @@ class CompletedReward:
         """Observes the scenes before the egos' actions (B,) are carried out."""
         scene, egos = simulation.scene, simulation.ego_vehicles
         return Before(
-            affected(scene, egos, bool(math.sin(self.angle_rad))),
+            affected(scene, bool(math.sin(self.angle_rad))),
             scene.speed[egos],
             scene.acceleration[egos],
             scene.target_lane[egos],
