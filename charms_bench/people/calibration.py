@@ -168,11 +168,8 @@ def own_parameters(population: Population, trips: Sequence[Trip]) -> dict[int, F
 
 def best_lag(model: Model, trips: Sequence[Trip]) -> Fit:
     """The population with the most likely of `LAGS_S`."""
-    return max((fit_population(model, trips, lag) for lag in LAGS_S), key=_log_likelihood)
-
-
-def _log_likelihood(fit: Fit) -> float:
-    return fit.log_likelihood
+    fits = (fit_population(model, trips, lag) for lag in LAGS_S)
+    return max(fits, key=lambda each: each.log_likelihood)
 
 
 def pooled(model: Model, trips: Sequence[Trip], lag_s: float) -> Floats:
