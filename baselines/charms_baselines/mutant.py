@@ -21,8 +21,7 @@ class Mutant(DriverModel):
         headway: The desired time headway, as a proportion of the profile's.
         delay: By how many of its decisions its accelerations are late. An ego decides once per
             decision interval if the profile's `ego_control_rate` says so.
-        blind_m: It does not see a follower on the lanes beside it whose centre is at most this far
-            behind its own.
+        blind_m: It does not see a follower on a side lane, up to this far behind, centre to centre.
         imposes_mps2: The limit on the braking that a lane change imposes on the new follower; by
             default, the profile's.
 

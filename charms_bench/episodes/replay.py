@@ -61,8 +61,7 @@ class Replay(Motion):
     agents: tuple[str, ...]
     """N names of agents."""
     action_names: tuple[str, ...] = ACTIONS
-    """What `action` is an index into: the names of highway-env's meta-actions, and of those that
-    the agents have beside these."""
+    """What `action` is an index into: highway-env's meta-actions, and others of the agents."""
     t_s: Floats
     """[T + 1] time since the start."""
     episodes: pl.DataFrame

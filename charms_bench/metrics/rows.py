@@ -45,8 +45,7 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     yaw_rate_radps: Change of the heading since the previous decision.
     lane_changed: Whether the lane differs from that of the previous decision.
     leader_changed: Whether the ego has another leader than at the previous decision.
-    changer: Whose lane change within the last 2 s gave the ego its leader, `EGO` or `ANOTHER`;
-        otherwise 0.
+    changer: Whose lane change within the last 2 s gave the ego its leader, `EGO`, `ANOTHER` or 0.
     gap_m: Distance from the ego's front to the leader's rear.
     ttc_s: Time to collision at constant speeds; null unless the ego closes in.
     drac_mps2: Deceleration that just avoids a collision; 0 unless the ego closes in.

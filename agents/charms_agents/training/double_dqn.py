@@ -156,8 +156,7 @@ class DoubleDQN:
     def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> Returns:
         """The parts of y_t, eq. 3 of the paper, from steps in the replay buffer, of any one shape.
 
-        A return adds up the rewards of `return_steps` steps, or of fewer if the episode or the
-        buffer ends before.
+        A return adds up `return_steps` rewards, or fewer if the episode or the buffer ends before.
 
         Returns:
             The sums of discounted rewards; the discounts of the values after the last steps, 0

@@ -115,8 +115,7 @@ def export(
         observations: (M, rows, columns), or (M, history, rows, columns), on which the file's
             actions are compared with the network's. If the file is masked, their last row is the
             action mask.
-        masked: Whether the file has a second input, the action mask, and never chooses a masked
-            action.
+        masked: Whether a second input is the action mask, and no masked action is ever chosen.
         lstm: The network's inputs are the outputs of this LSTM, and the file has its states. The
             observations are compared as those of `STEPS` decisions in a row.
         stochastic: Whether the file has an input of random numbers, by which it draws its actions;

@@ -165,8 +165,7 @@ def others(scene: Scene, before: Affected, most_mps2: float) -> Floats:
     The followers are the vehicles behind the ego in its lane and in its target lane; without a
     lane change there is only one. Their expected accelerations before the decision are compared
     with those after the decision interval. The expected acceleration is IDM's, with the ego in its
-    target lane even while it still moves there. So the whole effect of a lane change counts once,
-    when it is decided.
+    target lane even while it still moves there. So a lane change counts once, when it is decided.
     """
     result = np.empty(scene.ego.size)
     for b in range(result.size):

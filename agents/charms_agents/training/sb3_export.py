@@ -109,8 +109,7 @@ def export_zip(
         observations and ties from `export`.
 
     Raises:
-        ModelError: The checkpoint is not a zip of one of these with a suitable MLP; nothing is
-            written.
+        ModelError: It is not a zip of one of these with a suitable MLP; nothing is written.
         RunFolderError: The output cannot be written.
     """
     facts = {key: value.encode(errors="replace").decode() for key, value in facts.items()}
