@@ -17,10 +17,16 @@ from torch import Tensor
 from torch.nn import Linear, Sequential
 from torch.nn.functional import log_softmax
 
-from charms_agents.training.backpropagation import squared_error
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.hyperparameters import Hyperparameters
-from charms_agents.training.network import Arrays, load_state, side_by_side, state_arrays, untrained
+from charms_agents.training.network import (
+    Arrays,
+    load_state,
+    side_by_side,
+    squared_error,
+    state_arrays,
+    untrained,
+)
 from charms_agents.training.standardised import folded, standardise
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Observations
@@ -101,12 +107,11 @@ class DoubleDQN:
         if self.prior is not None:
             logits = self.logits(self.observed)
             chosen = (logits + self.rng.gumbel(size=logits.shape)).argmax(axis=1)
-            return np.where(self.rng.random(self.h.scenes) < self.exploration, actions, chosen)
-        if self.steps >= self.h.learning_starts:
-            greedy = self.values(self.observed).argmax(axis=1)
-            explores = self.rng.random(self.h.scenes) < self.exploration
-            actions = np.where(explores, actions, greedy)
-        return actions
+        elif self.steps >= self.h.learning_starts:
+            chosen = self.values(self.observed).argmax(axis=1)
+        else:
+            return actions
+        return np.where(self.rng.random(self.h.scenes) < self.exploration, actions, chosen)
 
     def remember(self, *parts: NDArray[Any]) -> None:
         """Writes a row of the replay buffer, its parts in the order of `replay`."""
