@@ -88,10 +88,6 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     )
 
 
-def _previous(column: str) -> pl.Expr:
-    return pl.when(IS_LATER).then(pl.col(column).shift())
-
-
 def _change(column: str) -> pl.Expr:
     return pl.when(IS_LATER).then(pl.col(column).diff())
 
@@ -138,10 +134,11 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
     )
     # A movement ends in the episode in which it begins, so these may run on across episodes.
     count = changed.cast(pl.Int64).cum_sum()
-    begins = drifting & ~_previous("drifting").fill_null(False)
+    drifted = pl.when(IS_LATER).then(drifting.shift())
+    begins = drifting & ~drifted.fill_null(False)
     began_s = pl.when(begins).then(pl.col("time_s")).forward_fill()
     changes = count - pl.when(begins).then(count - changed).forward_fill()
-    ended = pl.col("driving") & ~drifting & _previous("drifting") & (changes > 0)
+    ended = pl.col("driving") & ~drifting & drifted & (changes > 0)
     own = changed & pl.col("driving")
     next_change = {
         name: pl.when(own).then(pl.col(name)).shift(-1).backward_fill()
