@@ -67,13 +67,16 @@ def read_trips(path: Path) -> list[Trip]:
         rows = _table_rows(path)
     else:
         rows = pl.concat(_recording_rows(*each) for each in numbered_through(path))
-    if not (trips := _cut(rows)):
+    allowed = pl.col("gap").is_between(*GAPS_M).fill_null(False)
+    pieces = rows.with_columns(piece=pl.struct("driver", "stretch", allowed).rle_id())
+    pieces = pieces.filter(allowed, pl.len().over("piece") >= round(SHORTEST_S * RATE_HZ))
+    if pieces.is_empty():
         raise DataError(
             f"{path}: no driver follows one leader for {SHORTEST_S:g} s with a gap of "
             f"{GAPS_M[0]:g} to {GAPS_M[1]:g} m. The recorded section must be long enough to see a "
             f"driver for {SHORTEST_S:g} s: at 30 m/s, {30 * SHORTEST_S:g} m"
         )
-    return trips
+    return [_trip(part) for part in pieces.partition_by("piece", maintain_order=True)]
 
 
 def split(trips: Sequence[Trip]) -> tuple[list[Trip], list[Trip]]:
@@ -153,14 +156,6 @@ def _resampled(rows: pl.DataFrame, rate_hz: float) -> pl.DataFrame:
     }
     first = rows.select(pl.first("driver", "stretch"))
     return pl.DataFrame(columns).join(first, how="cross").select(rows.columns)
-
-
-def _cut(rows: pl.DataFrame) -> list[Trip]:
-    allowed = pl.col("gap").is_between(*GAPS_M).fill_null(False)
-    pieces = rows.with_columns(piece=pl.struct("driver", "stretch", allowed).rle_id())
-    shortest = round(SHORTEST_S * RATE_HZ)
-    pieces = pieces.filter(allowed, pl.len().over("piece") >= shortest)
-    return [_trip(part) for part in pieces.partition_by("piece", maintain_order=True)]
 
 
 def _trip(rows: pl.DataFrame) -> Trip:
