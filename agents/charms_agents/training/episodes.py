@@ -47,7 +47,9 @@ class Episodes:
         given = np.split(actions, self._ends[:-1])
         steps = [_step(each, own) for each, own in zip(self._environments, given, strict=True)]
         *arrays, facts = zip(*steps, strict=True)
-        return Step(*map(np.concatenate, arrays), [fact for each in facts for fact in each])
+        joined = [fact for each in facts for fact in each]
+        observed, following, rewards, failed, ended = map(np.concatenate, arrays)
+        return Step(observed, following, rewards, failed, ended, joined)
 
     def arrays(self) -> Arrays:
         """The state of all running episodes, as plain arrays."""

@@ -72,8 +72,8 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         if name in suite.stages:
             raise document.error(place, f"another stage is also named '{name}'")
         if human.fine_tunes is not None:
-            at, under = (*place, "fine_tunes"), " under stages"
-            _check_name(document, at, "stage", human.fine_tunes, suite.stages, under)
+            key, under = (*place, "fine_tunes"), " under stages"
+            _check_name(document, key, "stage", human.fine_tunes, suite.stages, under)
         if human.drivers == "simulated":
             _check_simulated(document, suite, name)
     try:
