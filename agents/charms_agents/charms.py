@@ -2,6 +2,7 @@
 
 from functools import partial
 from importlib.resources import files
+from itertools import product
 
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -9,12 +10,8 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 SVOS = ("competitive", "egoistic", "prosocial", "altruistic")
 """Social value orientations, from the least to the most weight on other drivers."""
 STYLES = {
-    "charms" if (priority, svo) == ("efficient", "egoistic") else f"charms-{priority}-{svo}": (
-        priority,
-        svo,
-    )
-    for priority in ("efficient", "safe")
-    for svo in SVOS
+    "charms" if style == ("efficient", "egoistic") else "-".join(("charms", *style)): style
+    for style in product(("efficient", "safe"), SVOS)
 }
 """Priority and orientation of each agent of CHARMS; `charms` is the agent in the paper's table."""
 

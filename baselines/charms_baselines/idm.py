@@ -24,8 +24,7 @@ from charms_bench.world.scene import Floats, Ints, Scene
 class Motion(NamedTuple):
     """The state of a vehicle that the model uses.
 
-    It has numbers only, because passing arrays to a compiled function for every vehicle would take
-    longer than the model itself.
+    It has numbers only, because passing arrays for every vehicle would take longer than the model.
     """
 
     exists: bool
@@ -126,8 +125,7 @@ def following(
 ) -> float:
     """IDM acceleration behind a leader, m/s2, as a driver expects it [`IDMVehicle.acceleration`].
 
-    A vehicle that does not exist accelerates by 0. A driver is the road, an exponent and
-    parameters.
+    A vehicle that does not exist accelerates by 0. A driver is road, exponent and parameters.
     """
     if not vehicle.exists:
         return 0.0

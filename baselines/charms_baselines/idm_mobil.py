@@ -4,14 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from charms_baselines.idm import (
-    Motion,
-    distance,
-    following,
-    interaction,
-    motion,
-    on_own_lane,
-)
+from charms_baselines.idm import Motion, distance, following, interaction, motion, on_own_lane
 from charms_bench import DriverModel
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index, inlined
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET

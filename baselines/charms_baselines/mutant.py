@@ -2,12 +2,10 @@
 
 import numpy as np
 
-from charms_baselines.idm_mobil import drive_block
+from charms_baselines.idm_mobil import IdmMobil
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
-from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.world.candidate_lanes import LEFT, RIGHT
-from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 LONGEST_DELAY = 8
@@ -23,8 +21,7 @@ class Mutant(DriverModel):
         headway: The desired time headway, as a proportion of the profile's.
         delay: By how many of its decisions its accelerations are late. An ego decides once per
             decision interval if the profile's `ego_control_rate` says so.
-        blind_m: It does not see a follower on the lanes beside it whose centre is at most this far
-            behind its own.
+        blind_m: It does not see a follower on a side lane, up to this far behind, centre to centre.
         imposes_mps2: The limit on the braking that a lane change imposes on the new follower; by
             default, the profile's.
 
@@ -60,7 +57,8 @@ class Mutant(DriverModel):
         if self._imposes is not None:
             p = p._replace(imposed_braking_mps2=self._imposes)
         seen = scene if self._blind_m == 0 else self._unseeing(scene, vehicles)
-        acceleration, target_lane = _drive(seen, vehicles[0], vehicles[1], p)
+        seen = seen._replace(constants=scene.constants._replace(idm_mobil=p))
+        acceleration, target_lane = IdmMobil().drive(seen, vehicles)
         for k in range(self._delay):
             at = (*vehicles, np.full(vehicles[0].size, k))
             earlier = scene.memory[at]
@@ -77,10 +75,3 @@ class Mutant(DriverModel):
             apart = scene.x[vehicles] - scene.x[vehicles[0], np.maximum(behind, 0)]
             followers[at] = np.where((behind >= 0) & (apart <= self._blind_m), -1, behind)
         return scene._replace(followers=followers)
-
-
-@compiled_of_scenes
-def _drive(scene: Scene, rows: Ints, places: Ints, p: IdmMobilParameters) -> tuple[Floats, Ints]:
-    acceleration, target_lane = np.empty(rows.size), np.empty(rows.size, dtype=np.int64)
-    drive_block(scene, rows, places, scene.target_lane.copy(), (acceleration, target_lane), p)
-    return acceleration, target_lane

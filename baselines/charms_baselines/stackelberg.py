@@ -9,13 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charms_baselines.idm import (
-    Motion,
-    distance,
-    interaction,
-    motion,
-    on_own_lane,
-)
+from charms_baselines.idm import Motion, distance, interaction, motion, on_own_lane
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import clip, compiled
@@ -44,8 +38,7 @@ class Stackelberg(DriverModel):
         deceleration_mps2: IDM's comfortable deceleration b.
         exponent: IDM's acceleration exponent.
         acceleration_low_mps2: Lower bound of the commanded acceleration.
-        acceleration_high_mps2: Upper bound of the commanded acceleration, and IDM's maximum
-            acceleration a.
+        acceleration_high_mps2: Upper bound of the commanded acceleration, and IDM's a.
         open_distance_m: A side lane is open if its follower is further away than this,
         follower_loss_mps2: or if the follower's best response costs at most this acceleration.
         gain: A lane change needs a lane whose utility is higher by this.

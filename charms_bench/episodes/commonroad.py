@@ -6,8 +6,8 @@ CommonRoad's y axis points to the left and its headings are positive to the left
 """
 
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def write_commonroad(replay: Replay, path: Path) -> None:
     """Writes an episode, one time step per simulation step; see `ShownReplay.write_commonroad`."""
     check_commonroad(path)
     replay.cell.scene.check_straight("CommonRoad scenarios are written of")
-    root = ElementTree.Element(
+    root = Element(
         "commonRoad",
         commonRoadVersion="2020a",
         benchmarkID=f"ZAM_CharmsBench-{replay.settings.lanes}_{replay.episode + 1}_T-1",
@@ -46,89 +46,77 @@ def write_commonroad(replay: Replay, path: Path) -> None:
         timeStepSize=_decimal(1 / replay.settings.simulation_hz),
     )
     # No place on Earth has these coordinates, which CommonRoad uses for an invented road.
-    place = {"geoNameId": "-999", "gpsLatitude": "999", "gpsLongitude": "999"}
-    location = ElementTree.SubElement(root, "location")
-    for name, value in place.items():
-        ElementTree.SubElement(location, name).text = value
-    tags = ElementTree.SubElement(root, "scenarioTags")
+    location = SubElement(root, "location")
+    for name, value in (("geoNameId", "-999"), ("gpsLatitude", "999"), ("gpsLongitude", "999")):
+        SubElement(location, name).text = value
+    tags = SubElement(root, "scenarioTags")
     for tag in ("highway", "multi_lane", "no_oncoming_traffic", "simulated"):
-        ElementTree.SubElement(tags, tag)
+        SubElement(tags, tag)
     _add_lanelets(root, replay)
     for vehicle in np.nonzero(replay.present.any(axis=0))[0].tolist():
         _add_vehicle(root, replay, vehicle)
-    _add_planning_problem(root, replay)
+    # The planning problem is the ego's start, and as its goal the time when the episode ends.
+    problem = SubElement(root, "planningProblem", id=str(PLANNING_PROBLEM))
+    _add_state(problem, "initialState", replay, replay.ego, 0)
+    time = SubElement(SubElement(problem, "goalState"), "time")
+    for name in ("intervalStart", "intervalEnd"):
+        SubElement(time, name).text = str(len(replay.t_s) - 1)
     ElementTree.indent(root)
     write_bytes(path, ElementTree.tostring(root, "utf-8", xml_declaration=True))
 
 
-def _add_lanelets(root: ElementTree.Element, replay: Replay) -> None:
+def _add_lanelets(root: Element, replay: Replay) -> None:
     lanes, width = replay.settings.lanes, replay.settings.profile.lane_width_m
     x = replay.x[replay.present]
     start, end = x.min() - MARGIN_M, x.max() + MARGIN_M
     along = np.linspace(start, end, int((end - start) // POINT_DISTANCE_M) + 2)
     for lane in range(lanes):
-        lanelet = ElementTree.SubElement(root, "lanelet", id=str(lane + 1))
-        bounds = {
-            "leftBound": (lane - 0.5, lane == 0),
-            "rightBound": (lane + 0.5, lane + 1 == lanes),
-        }
-        for name, (edge, is_outer) in bounds.items():
-            bound = ElementTree.SubElement(lanelet, name)
+        lanelet = SubElement(root, "lanelet", id=str(lane + 1))
+        for name, edge, outer in (("leftBound", -0.5, 0), ("rightBound", 0.5, lanes - 1)):
+            bound = SubElement(lanelet, name)
             for x in along:
-                _add_point(bound, float(x), edge * width)
-            marking = ElementTree.SubElement(bound, "lineMarking")
-            marking.text = "solid" if is_outer else "dashed"
+                _add_point(bound, float(x), (lane + edge) * width)
+            SubElement(bound, "lineMarking").text = "solid" if lane == outer else "dashed"
         for name, other in (("adjacentLeft", lane), ("adjacentRight", lane + 2)):
             if 1 <= other <= lanes:
-                ElementTree.SubElement(lanelet, name, ref=str(other), drivingDir="same")
-        ElementTree.SubElement(lanelet, "laneletType").text = "highway"
-        ElementTree.SubElement(lanelet, "userOneWay").text = "vehicle"
+                SubElement(lanelet, name, ref=str(other), drivingDir="same")
+        SubElement(lanelet, "laneletType").text = "highway"
+        SubElement(lanelet, "userOneWay").text = "vehicle"
 
 
-def _add_vehicle(root: ElementTree.Element, replay: Replay, vehicle: int) -> None:
-    obstacle = ElementTree.SubElement(root, "dynamicObstacle", id=str(FIRST_VEHICLE + vehicle))
+def _add_vehicle(root: Element, replay: Replay, vehicle: int) -> None:
+    obstacle = SubElement(root, "dynamicObstacle", id=str(FIRST_VEHICLE + vehicle))
     length, width = float(replay.length[0, vehicle]), float(replay.width[0, vehicle])
-    ElementTree.SubElement(obstacle, "type").text = "car" if length < TRUCK_LENGTH_M else "truck"
-    shape = ElementTree.SubElement(ElementTree.SubElement(obstacle, "shape"), "rectangle")
-    ElementTree.SubElement(shape, "length").text = _decimal(length)
-    ElementTree.SubElement(shape, "width").text = _decimal(width)
+    SubElement(obstacle, "type").text = "car" if length < TRUCK_LENGTH_M else "truck"
+    shape = SubElement(SubElement(obstacle, "shape"), "rectangle")
+    SubElement(shape, "length").text = _decimal(length)
+    SubElement(shape, "width").text = _decimal(width)
     first, *others = np.nonzero(replay.present[:, vehicle])[0].tolist()
-    _add_state(ElementTree.SubElement(obstacle, "initialState"), replay, vehicle, first, True)
-    trajectory = ElementTree.SubElement(obstacle, "trajectory")
+    _add_state(obstacle, "initialState", replay, vehicle, first)
+    trajectory = SubElement(obstacle, "trajectory")
     for frame in others:
-        _add_state(ElementTree.SubElement(trajectory, "state"), replay, vehicle, frame)
+        _add_state(trajectory, "state", replay, vehicle, frame)
 
 
-def _add_planning_problem(root: ElementTree.Element, replay: Replay) -> None:
-    """Adds the ego's start, and the time until the end of the episode as its goal."""
-    problem = ElementTree.SubElement(root, "planningProblem", id=str(PLANNING_PROBLEM))
-    _add_state(ElementTree.SubElement(problem, "initialState"), replay, replay.ego, 0, True)
-    time = ElementTree.SubElement(ElementTree.SubElement(problem, "goalState"), "time")
-    for name in ("intervalStart", "intervalEnd"):
-        ElementTree.SubElement(time, name).text = str(len(replay.t_s) - 1)
-
-
-def _add_state(
-    state: ElementTree.Element, replay: Replay, vehicle: int, frame: int, is_first: bool = False
-) -> None:
-    place = frame, vehicle
-    _add_point(ElementTree.SubElement(state, "position"), replay.x[place], replay.y[place])
-    values: dict[str, Any] = {
+def _add_state(parent: Element, kind: str, replay: Replay, vehicle: int, frame: int) -> None:
+    state, place = SubElement(parent, kind), (frame, vehicle)
+    _add_point(SubElement(state, "position"), replay.x[place], replay.y[place])
+    values = {
         "orientation": _decimal(-replay.heading[place]),
         "time": str(frame),
         "velocity": _decimal(replay.speed[place]),
         "acceleration": _decimal(replay.acceleration[place]),
     }
-    if is_first:  # a vehicle starts along the road
+    if kind == "initialState":  # a vehicle starts along the road
         values |= {"yawRate": "0.0", "slipAngle": "0.0"}
     for name, value in values.items():
-        ElementTree.SubElement(ElementTree.SubElement(state, name), "exact").text = value
+        SubElement(SubElement(state, name), "exact").text = value
 
 
-def _add_point(parent: ElementTree.Element, x: float, y: float) -> None:
-    point = ElementTree.SubElement(parent, "point")
-    ElementTree.SubElement(point, "x").text = _decimal(x)
-    ElementTree.SubElement(point, "y").text = _decimal(-y)
+def _add_point(parent: Element, x: float, y: float) -> None:
+    point = SubElement(parent, "point")
+    SubElement(point, "x").text = _decimal(x)
+    SubElement(point, "y").text = _decimal(-y)
 
 
 def _decimal(value: float) -> str:

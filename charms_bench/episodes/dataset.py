@@ -43,8 +43,7 @@ def write_dataset(
 
     Raises:
         InputError: The folder exists, or the format does not fit.
-        RunFolderError: An episode no longer runs as it was recorded, or the folder cannot be
-            written to.
+        RunFolderError: An episode no longer runs as recorded, or the folder cannot be written to.
     """
     if kind not in FORMATS:
         raise InputError(f"no format '{kind}'. {suggestion(kind, dict.fromkeys(FORMATS))}")

@@ -76,8 +76,7 @@ def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> li
 def ranked(cells: Sequence[RecordedCell]) -> pl.DataFrame:
     """Returns the rows of `criticality` of all episodes of a run's cells, most critical first.
 
-    The column `gaps_lost` is that of the ego's driver row, and `cell` is the index of the
-    episode's cell.
+    `gaps_lost` is that of the ego's driver row, and `cell` the index of the episode's cell.
     """
     frames = [
         criticality(episodes, steps, each.run.suite.scene)

@@ -81,8 +81,7 @@ def write_minari(
 ) -> None:
     """Writes a dataset, which Minari will load by this name, into an empty folder.
 
-    The ego is one that `check_policy` accepts. `tell` is called with the number of episodes that
-    have been written.
+    The ego is one that `check_policy` accepts. `tell` is told how many episodes have been written.
 
     Raises:
         RunFolderError: An episode no longer runs as it was recorded.

@@ -106,24 +106,23 @@ class RecordedCell:
                 raise RunFolderError(
                     f"{run.folder.path}: holds the episodes {first} to {last}, not {episode}"
                 )
-        shards = [
-            shard
-            for shard in run.shards
-            if shard.cell == self.index
-            and any(0 <= episode - shard.first_seed < shard.episodes for episode in episodes)
-        ]
+        shards = [run.shards[k] for k, seeds in self._seeds.items() if {*seeds} & {*episodes}]
         _, steps = read_rows(run.folder, EPISODES_AND_STEPS, shards)
         steps = steps.filter(pl.col("episode").is_in(list(episodes)))
         return with_lengths(steps, self.cell.scene.profile.vehicle_length_m)
 
     def shard_of(self, episode: int) -> range:
         """The seeds of the episodes that the run simulated together with this one."""
-        shard = next(
-            shard
-            for shard in self.run.shards
-            if shard.cell == self.index and 0 <= episode - shard.first_seed < shard.episodes
-        )
-        return range(shard.first_seed, shard.first_seed + shard.episodes)
+        return next(seeds for seeds in self._seeds.values() if episode in seeds)
+
+    @property
+    def _seeds(self) -> dict[int, range]:
+        """The seeds of each shard of the cell, by its place among all shards."""
+        return {
+            k: range(shard.first_seed, shard.first_seed + shard.episodes)
+            for k, shard in enumerate(self.run.shards)
+            if shard.cell == self.index
+        }
 
     def check_steps(self, stored: pl.DataFrame, again: pl.DataFrame) -> None:
         """Raises a `RunFolderError` if the rows simulated `again` are not those of `steps`."""

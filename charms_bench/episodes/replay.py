@@ -61,8 +61,7 @@ class Replay(Motion):
     agents: tuple[str, ...]
     """N names of agents."""
     action_names: tuple[str, ...] = ACTIONS
-    """What `action` is an index into: the names of highway-env's meta-actions, and of those that
-    the agents have beside these."""
+    """What `action` is an index into: highway-env's meta-actions, and others of the agents."""
     t_s: Floats
     """[T + 1] time since the start."""
     episodes: pl.DataFrame
@@ -145,10 +144,7 @@ class Seat(NamedTuple):
 
 
 def simulate(
-    cell: RecordedCell,
-    episodes: Sequence[int],
-    seat: Seat | None = None,
-    among: Sequence[int] = (),
+    cell: RecordedCell, episodes: Sequence[int], seat: Seat | None = None, among: Sequence[int] = ()
 ) -> list[Replay]:
     """Simulates episodes of a cell as `replay` does, but does not compare them with the run.
 

@@ -35,6 +35,7 @@ from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.shard import CellTask, installed
 from charms_bench.runs.suite import Cell, EgoEntry, Suite
 from charms_bench.world.points import from_shares, sobol
+from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import Floats, SceneSettings
 
 FIRST_POINTS = 32
@@ -87,9 +88,7 @@ class Search:
         """Searches until there are so many failures, or so many episodes have been simulated."""
         from scipy.optimize import differential_evolution
 
-        scenario = self.cell.scene.scenario
-        assert scenario is not None
-        dimensions = len(scenario.parameters)
+        dimensions = len(self._scenario.parameters)
 
         def is_over(*_: object) -> bool:
             return len(self.failures) >= failures or self.simulations >= budget
@@ -120,9 +119,7 @@ class Search:
 
     def values(self, shares: Floats) -> Floats:
         """Returns what the search minimises at points (R, P) of the unit cube; notes failures."""
-        scenario = self.cell.scene.scenario
-        assert scenario is not None
-        values = from_shares(scenario.parameters, shares)
+        values = from_shares(self._scenario.parameters, shares)
         points = [
             {name: float(each[r]) for name, each in values.items()} for r in range(len(shares))
         ]
@@ -164,10 +161,15 @@ class Search:
             self.told(count)
         return found
 
-    def _settings_of(self, points: Sequence[Point]) -> SceneSettings:
+    @property
+    def _scenario(self) -> Scenario:
         scenario = self.cell.scene.scenario
         assert scenario is not None
-        return self.cell.scene.of_scenario(scenario.model_copy(update={"points": tuple(points)}))
+        return scenario
+
+    def _settings_of(self, points: Sequence[Point]) -> SceneSettings:
+        scenario = self._scenario.model_copy(update={"points": tuple(points)})
+        return self.cell.scene.of_scenario(scenario)
 
     @cached_property
     def _draws(self) -> bool:

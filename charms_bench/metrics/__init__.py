@@ -4,8 +4,14 @@ from charms_bench.metrics.metric import Metric, MetricSet
 from charms_bench.metrics.paper import PAPER
 from charms_bench.metrics.roads import ROADS
 from charms_bench.metrics.rows import sums_by_episode
-from charms_bench.metrics.scenarios import SCENARIOS
-from charms_bench.metrics.sets import METRIC_SETS, STANDARD, WARM_UP_S, standard, standard_after
+from charms_bench.metrics.sets import (
+    METRIC_SETS,
+    SCENARIOS,
+    STANDARD,
+    WARM_UP_S,
+    standard,
+    standard_after,
+)
 
 __all__ = [
     "METRIC_SETS",

@@ -17,15 +17,11 @@ Interval = Literal["bootstrap", "proportion", "rate", "wilson", "garwood"]
 """How a metric's 95 % interval is computed.
 
 bootstrap: From resampled episodes; there is no interval if the resamples do not vary.
-proportion: Wilson's interval with the effective sample size, for events that are correlated within
-    episodes; `share` is an older name.
-rate: The same for events per time or distance; the first sum is the largest number of events that
-    an episode may have.
+proportion: Wilson's interval with the effective sample size, for events correlated within episodes.
+rate: The same per time or distance; the first sum is the most events that an episode can have.
 wilson: For a proportion of episodes, each of which is one trial.
 garwood: For the rate of an event that happens at most once per episode and ends it.
 """
-
-_OLDER_NAMES: dict[str, Interval] = {"share": "proportion"}
 
 EPISODES = pl.lit(1)
 """Counts episodes, as a sum of a metric."""
@@ -54,9 +50,6 @@ class Metric:
     value: Callable[[Floats], Floats] = ratio
     """[..., k] totals -> [...]; NaN where it is not defined."""
     interval: Interval = "bootstrap"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "interval", _OLDER_NAMES.get(self.interval, self.interval))
 
 
 def problem_of_sums(metric: Metric, sums: Floats) -> str:

@@ -45,8 +45,7 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     yaw_rate_radps: Change of the heading since the previous decision.
     lane_changed: Whether the lane differs from that of the previous decision.
     leader_changed: Whether the ego has another leader than at the previous decision.
-    changer: Whose lane change within the last 2 s gave the ego its leader, `EGO` or `ANOTHER`;
-        otherwise 0.
+    changer: Whose lane change within the last 2 s gave the ego its leader, `EGO`, `ANOTHER` or 0.
     gap_m: Distance from the ego's front to the leader's rear.
     ttc_s: Time to collision at constant speeds; null unless the ego closes in.
     drac_mps2: Deceleration that just avoids a collision; 0 unless the ego closes in.
@@ -87,10 +86,6 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
         .with_columns(**_following())
         .with_columns(**_lane_changes(settings))
     )
-
-
-def _previous(column: str) -> pl.Expr:
-    return pl.when(IS_LATER).then(pl.col(column).shift())
 
 
 def _change(column: str) -> pl.Expr:
@@ -139,10 +134,11 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
     )
     # A movement ends in the episode in which it begins, so these may run on across episodes.
     count = changed.cast(pl.Int64).cum_sum()
-    begins = drifting & ~_previous("drifting").fill_null(False)
+    drifted = pl.when(IS_LATER).then(drifting.shift())
+    begins = drifting & ~drifted.fill_null(False)
     began_s = pl.when(begins).then(pl.col("time_s")).forward_fill()
     changes = count - pl.when(begins).then(count - changed).forward_fill()
-    ended = pl.col("driving") & ~drifting & _previous("drifting") & (changes > 0)
+    ended = pl.col("driving") & ~drifting & drifted & (changes > 0)
     own = changed & pl.col("driving")
     next_change = {
         name: pl.when(own).then(pl.col(name)).shift(-1).backward_fill()

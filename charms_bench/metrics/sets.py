@@ -7,13 +7,15 @@ all steps between a warm-up and a collision.
 
 from dataclasses import replace
 
+import polars as pl
+
 from charms_bench.errors import InputError
 from charms_bench.metrics import collisions, conduct
 from charms_bench.metrics.conflicts import of_conflicts, of_planar_conflicts
 from charms_bench.metrics.headway import SHORT_HEADWAY_S, of_headway
 from charms_bench.metrics.lane_changes import of_lane_changes
 from charms_bench.metrics.mean_acceleration import STRONG_MPS2, of_mean_acceleration
-from charms_bench.metrics.metric import MetricSet
+from charms_bench.metrics.metric import EPISODES, Metric, MetricSet
 from charms_bench.metrics.paper import PAPER
 from charms_bench.metrics.required_braking import of_required_braking
 from charms_bench.metrics.row_samples import driving_after
@@ -24,8 +26,7 @@ from charms_bench.world import thresholds
 
 WARM_UP_S = 3.0
 """Where vehicles are drawn on the motorway. The ego spawns at 30 m/s among vehicles at 23.1 to
-26.4 m/s. With 600 episodes from seed
-900,000,000 and an ego that spawns at 30, 27 or 24 m/s:
+26.4 m/s. With 600 episodes from seed 900,000,000 and an ego that spawns at 30, 27 or 24 m/s:
 
 - After 3 s, the proportion of steps with more than 2.5 m/s2 is at most 0.03 % (IDM+MOBIL) and
   0.15 % (Stackelberg) whatever the spawn; from the start of the episode, it is 3.2 and 4.0 % at
@@ -93,7 +94,23 @@ def standard(
 STANDARD = standard()
 METRIC_SETS = (PAPER, STANDARD)
 """Those of every suite; suites on highway-env's roads have `roads.ROADS`, too, and suites of
-scenarios `scenarios.SCENARIOS`."""
+scenarios `SCENARIOS`."""
+_LEFT_OUT = pl.first("left_out")
+SCENARIOS = MetricSet(
+    name="scenarios",
+    version=1,
+    metrics=(
+        Metric(
+            name="scenarios_left_out",
+            unit="",
+            description="proportion of concrete scenarios that nothing else counts, because "
+            "prescribed vehicles collide with one another in them whatever the ego does",
+            rests_on="concrete scenarios",
+            sums=(EPISODES + _LEFT_OUT, _LEFT_OUT),
+        ),
+    ),
+)
+"""What a suite of scenarios adds: how many concrete scenarios no other metric counts."""
 
 
 def standard_after(warm_up_s: float) -> MetricSet:

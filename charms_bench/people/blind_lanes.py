@@ -27,11 +27,7 @@ class BlindLanes(DriverModel):
         self._rng = np.random.default_rng(SEED)
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
-        speed, lane, target = (
-            scene.speed[vehicles],
-            scene.lane[vehicles],
-            scene.target_lane[vehicles],
-        )
+        speed, lane = scene.speed[vehicles], scene.lane[vehicles]
         leader, is_led = scene.leader(vehicles, lane)
         gap = scene.gap_to(vehicles, leader)
         first = np.clip(time_headway(gap, speed), *LIMITS_TIME_GAP_S)
@@ -44,5 +40,6 @@ class BlindLanes(DriverModel):
         changes = self._rng.random(lane.size) < self._changes_per_m * driven_m
         side = np.where(self._rng.random(lane.size) < 0.5, -1, 1)
         side = np.where((lane + side < 0) | (lane + side > self._last), -side, side)
+        target = scene.target_lane[vehicles]
         target = np.where(changes & (lane == target), lane + side, target)
         return np.where(is_led, np.clip(wanted, *LIMITS_MPS2), 0.0), target

@@ -10,7 +10,6 @@ from charms_bench.people.calibration import SITUATION, Fit, best_lag, noise_of, 
 from charms_bench.people.car_following import MODELS
 from charms_bench.people.held_out import (
     HORIZONS_S,
-    Predictor,
     drawn,
     energy_scores,
     gap_errors,
@@ -20,7 +19,7 @@ from charms_bench.people.held_out import (
     the_same,
 )
 from charms_bench.people.population import LaneChanges, Population
-from charms_bench.people.trips import SPLIT_SEED, Trip, split
+from charms_bench.people.trips import SPLIT_SEED, Driver, Trip, split
 from charms_bench.world.scene import Floats
 
 FEWEST_DRIVERS = 8
@@ -90,19 +89,14 @@ class Calibration:
 
     def records(self) -> list[dict[str, str]]:
         """The errors and scores on held-out drivers, for a table."""
-        return [
-            {
-                "predicted by": each.name,
-                "gap error": f"{each.rmspe:z.2f}",
-                **{
-                    f"energy score, {horizon_s} s": f"{score:z.2f}"
-                    for horizon_s, score in zip(
-                        HORIZONS_S, np.nanmean(each.energy_scores, axis=0), strict=True
-                    )
-                },
-            }
-            for each in self.predicted
-        ]
+        rows = []
+        for each in self.predicted:
+            row = {"predicted by": each.name, "gap error": f"{each.rmspe:z.2f}"}
+            means = np.nanmean(each.energy_scores, axis=0)
+            for horizon_s, score in zip(HORIZONS_S, means, strict=True):
+                row[f"energy score, {horizon_s} s"] = f"{score:z.2f}"
+            rows.append(row)
+        return rows
 
     def population(
         self, name: str, origin: str, terms: str, lane_changes: LaneChanges | None
@@ -156,7 +150,7 @@ def calibrate(trips: Sequence[Trip], tell: Callable[[str], None]) -> Calibration
     noise = noise_of(fit, fitted)
     point = pooled(fit.model, fitted, fit.lag_s)
     scales = scales_of(fitted)
-    predictors: dict[str, Predictor] = {
+    predictors: dict[str, Driver] = {
         f"{fit.model.name}, drawn from the population": drawn(fit, noise),
         f"{fit.model.name}, pooled point with noise": the_same(point, fit, noise),
         **{f"idm of the profile charms, T {t:g} s": profile_driver(t) for t in TIME_HEADWAYS_S},

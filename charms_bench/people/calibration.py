@@ -113,19 +113,8 @@ def fit_population(model: Model, trips: Sequence[Trip], lag_s: float) -> Fit:
         scatter = apart.T @ apart + posterior.sum(axis=0) + prior * SPREAD_DRIVERS
         covariance = scatter / (count + SPREAD_DRIVERS)
     variances = np.diagonal(posterior, axis1=1, axis2=2).mean(axis=0) / np.diag(covariance)
-    return Fit(
-        model=model,
-        lag_s=lag_s,
-        mean=mean,
-        covariance=covariance,
-        error=error,
-        correlation_s=correlation_s,
-        log_likelihood=float(evidence.sum()),
-        drivers=tuple(by_driver),
-        modes=modes,
-        uncertainty=variances[:size],
-        at_bound=at_bound,
-    )
+    fitted = model, lag_s, mean, covariance, error, correlation_s, float(evidence.sum())
+    return Fit(*fitted, tuple(by_driver), modes, variances[:size], at_bound)
 
 
 def of_drivers(trips: Sequence[Trip]) -> dict[int, list[Trip]]:
@@ -168,11 +157,8 @@ def own_parameters(population: Population, trips: Sequence[Trip]) -> dict[int, F
 
 def best_lag(model: Model, trips: Sequence[Trip]) -> Fit:
     """The population with the most likely of `LAGS_S`."""
-    return max((fit_population(model, trips, lag) for lag in LAGS_S), key=_log_likelihood)
-
-
-def _log_likelihood(fit: Fit) -> float:
-    return fit.log_likelihood
+    fits = (fit_population(model, trips, lag) for lag in LAGS_S)
+    return max(fits, key=lambda each: each.log_likelihood)
 
 
 def pooled(model: Model, trips: Sequence[Trip], lag_s: float) -> Floats:

@@ -13,12 +13,12 @@ import numpy as np
 
 from charms_bench.people.calibration import conditional, ou_noise, situation_of
 from charms_bench.people.car_following import MODELS, drive
-from charms_bench.people.driven import Driven
+from charms_bench.people.driven import Driven, in_place
 from charms_bench.people.held_out import SEED
 from charms_bench.people.population import Population
-from charms_bench.people.simple import REPETITIONS, Driver
+from charms_bench.people.simple import REPETITIONS
 from charms_bench.people.suited import suited
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.people.trips import RATE_HZ, Driver, Trip
 from charms_bench.world.scene import Floats
 
 CALIBRATED = "calibrated driver"
@@ -48,15 +48,6 @@ def controls(parts: Sequence[Trip], human: Driven, population: Population) -> di
     if np.isfinite(lanes).all():
         found["lane changes x 5"] = replace(usual, lanes=lanes * [1, 5, 1, 1])
     return found
-
-
-def in_place(parts: Sequence[Trip], lanes: Floats, driver: Driver, seed: int = SEED) -> Driven:
-    """What a driver does in the places of recorded drivers, at 1 Hz, with given lane changes."""
-    rng, every = np.random.default_rng(seed), slice(None, None, RATE_HZ)
-    gaps, speeds = zip(*(driver(part, rng) for part in parts), strict=True)
-    gap, speed = (np.array([each[:, every] for each in both]) for both in (gaps, speeds))
-    leader_speed = np.array([part.leader_speed[every] for part in parts])
-    return Driven(np.array([part.driver for part in parts]), gap, speed, leader_speed, lanes)
 
 
 def calibrated(

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.people.held_out import SEED
+from charms_bench.people.trips import RATE_HZ, Driver, Trip
 from charms_bench.world.gaps import is_within, time_headway
 from charms_bench.world.scene import Bools, Floats, Ints
 
@@ -45,14 +46,16 @@ class Driven:
 
 def recorded(parts: Sequence[Trip], lanes: Floats) -> Driven:
     """What the recorded drivers did."""
-    every = slice(None, None, RATE_HZ)
-    return Driven(
-        np.array([part.driver for part in parts]),
-        np.array([part.gap[None, every] for part in parts]),
-        np.array([part.speed[None, every] for part in parts]),
-        np.array([part.leader_speed[every] for part in parts]),
-        lanes,
-    )
+    return in_place(parts, lanes, lambda part, _: (part.gap[None], part.speed[None]))
+
+
+def in_place(parts: Sequence[Trip], lanes: Floats, driver: Driver, seed: int = SEED) -> Driven:
+    """What a driver does in the places of recorded drivers, at 1 Hz, with given lane changes."""
+    rng, every = np.random.default_rng(seed), slice(None, None, RATE_HZ)
+    gaps, speeds = zip(*(driver(part, rng) for part in parts), strict=True)
+    gap, speed = (np.array([each[:, every] for each in both]) for both in (gaps, speeds))
+    leader_speed = np.array([part.leader_speed[every] for part in parts])
+    return Driven(np.array([part.driver for part in parts]), gap, speed, leader_speed, lanes)
 
 
 def conduct(driven: Driven) -> dict[str, float | None]:

@@ -1,12 +1,12 @@
 """How well a calibrated population predicts drivers that it was not fitted to."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from charms_bench.people.calibration import Fit, of_drivers, ou_noise, situation_of
 from charms_bench.people.car_following import IDM, drive
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.people.trips import RATE_HZ, Driver, Trip
 from charms_bench.statistics.energy_score import energy_score
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Floats
@@ -18,8 +18,6 @@ RESAMPLES = 2000
 _GAPS_M = (0.5, 300.0)
 SEED = 29
 """Of draws and of resamples of drivers."""
-Predictor = Callable[[Trip, np.random.Generator], tuple[Floats, Floats]]
-"""Gaps and speeds (M, n) of M draws in the place of a trip's driver."""
 
 
 def profile_idm(time_headway_s: float) -> Floats:
@@ -30,7 +28,7 @@ def profile_idm(time_headway_s: float) -> Floats:
     return np.array([CHARMS.speed_limit_mps, time_headway_s, jam_m, *both])
 
 
-def drawn(fit: Fit, noise: tuple[float, float]) -> Predictor:
+def drawn(fit: Fit, noise: tuple[float, float]) -> Driver:
     """Drivers drawn from the population in the trip's situation."""
 
     def predict(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -41,28 +39,22 @@ def drawn(fit: Fit, noise: tuple[float, float]) -> Predictor:
     return predict
 
 
-def the_same(p: Floats, fit: Fit, noise: tuple[float, float] | None) -> Predictor:
-    """One set of parameters (P,) for all drivers, with noise or without."""
+def the_same(p: Floats, fit: Fit, noise: tuple[float, float]) -> Driver:
+    """One set of parameters (P,) for all drivers, with noise."""
 
     def predict(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        if noise is None:
-            return drive(fit.model, trip, p[None], fit.lag_s)
         pushes = ou_noise(rng, (DRAWS, trip.gap.size), *noise)
         return drive(fit.model, trip, np.tile(p, (DRAWS, 1)), fit.lag_s, pushes)
 
     return predict
 
 
-def profile_driver(time_headway_s: float) -> Predictor:
+def profile_driver(time_headway_s: float) -> Driver:
     """IDM with the constants of the profile `charms`, without lag or noise."""
-
-    def predict(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        return drive(IDM, trip, profile_idm(time_headway_s)[None])
-
-    return predict
+    return lambda trip, _: drive(IDM, trip, profile_idm(time_headway_s)[None])
 
 
-def gap_errors(trips: Sequence[Trip], predictor: Predictor) -> Floats:
+def gap_errors(trips: Sequence[Trip], predictor: Driver) -> Floats:
     """(D,) mean square of the relative error of the gap, by driver.
 
     Of several draws, the prediction is the gap with the smallest expected square relative error,
@@ -79,7 +71,7 @@ def gap_errors(trips: Sequence[Trip], predictor: Predictor) -> Floats:
     return np.array(found)
 
 
-def energy_scores(trips: Sequence[Trip], predictor: Predictor, scales: Floats) -> Floats:
+def energy_scores(trips: Sequence[Trip], predictor: Driver, scales: Floats) -> Floats:
     """(D, H) energy scores of gap and speed at the horizons, by driver; NaN without a start.
 
     Predictions start every 10 s. `scales` (H, 2) divide gaps and speeds.

@@ -23,10 +23,9 @@ from charms_bench.metrics.rows import UNDONE_WITHIN_S
 from charms_bench.people.calibration import of_drivers
 from charms_bench.people.car_following import idm
 from charms_bench.people.population import LaneChanges
-from charms_bench.people.trips import CAR_LENGTH_M, I75_MAIN_LANES, RATE_HZ, Trip
+from charms_bench.people.trips import CAR_LENGTH_M, I75_MAIN_LANES, RATE_HZ, Trip, numbered_through
 from charms_bench.world.csv_table import read_parquet
 from charms_bench.world.profile import CHARMS
-from charms_bench.world.recording_folder import read_folder
 from charms_bench.world.scene import Bools, Floats, Ints
 from charms_bench.world.trajectories import STAY_S
 
@@ -99,23 +98,17 @@ def _rows_with_lanes(path: Path) -> list[pl.DataFrame]:
 
     Vehicles have the numbers of the drivers of `read_trips`.
     """
-    if path.suffix == ".parquet":
-        table = read_parquet(path)
-        tables = [_i75_rows(table)] if "lead_id" in table.columns else []
-    else:
-        tables, first = [], 0
-        for recording in read_folder(path):
-            rows = recording.tracks.filter("on_road").select(
-                pl.col("vehicle") + first,
-                "lane",
-                "x",
-                "speed",
-                "length",
-                group="direction",
-                second=(pl.col("frame") - pl.col("frame").min()) / recording.frame_rate_hz,
-            )
-            tables.append(rows)
-            first += int(recording.tracks["vehicle"].max()) + 1  # type: ignore[arg-type]
+    tables = []
+    if path.suffix != ".parquet":
+        for recording, first in numbered_through(path):
+            second = (pl.col("frame") - pl.col("frame").min()) / recording.frame_rate_hz
+            rows = recording.tracks.filter("on_road")
+            columns = (pl.col("vehicle") + first, "lane", "x", "speed", "length")
+            tables.append(rows.select(*columns, group="direction", second=second))
+    elif "lead_id" in (table := read_parquet(path)).columns:
+        rows, length = table.filter(pl.col("lane").is_in(I75_MAIN_LANES)), pl.lit(CAR_LENGTH_M)
+        names = {"x": "s", "speed": "v", "second": "t"}
+        tables.append(rows.select("vehicle", "lane", **names, length=length, group=pl.lit(0)))
     return [rows.sort("vehicle", "second") for rows in tables]
 
 
@@ -164,18 +157,6 @@ def fit_choices(choices: Choices) -> LaneChanges | None:
     threshold = brentq(excess, *_THRESHOLDS_MPS2)
     numbers = {"threshold_mps2": round(threshold, 4), "scale_mps2": round(float(scale), 4)}
     return LaneChanges(**numbers, speed_mps=round(mean_mps, 4), changes=choices.recorded)
-
-
-def _i75_rows(table: pl.DataFrame) -> pl.DataFrame:
-    return table.filter(pl.col("lane").is_in(I75_MAIN_LANES)).select(
-        "vehicle",
-        "lane",
-        x="s",
-        speed="v",
-        length=pl.lit(CAR_LENGTH_M),
-        group=pl.lit(0),
-        second=pl.col("t"),
-    )
 
 
 def _choices(rows: pl.DataFrame, p: Floats, held_out: Collection[int]) -> Choices:

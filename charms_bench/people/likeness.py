@@ -9,8 +9,7 @@ worst of them is the total:
 - **given the scene**, in the other situations: distributions of acceleration, jerk and reversals,
   as means over 1 s, given the speed, the gap and the closing speed.
 - **events**, in the other situations: rates of hard braking, short headways, collisions and, in
-  traffic, collisions and, where lanes are known, lane changes and undone ones. The worst of them is
-  the component.
+  traffic, collisions and, where lanes are known, lane changes and undone ones. The worst counts.
 
 For the last two, a driver in the place of one half of the recorded drivers is compared with the
 other half. 0 is the better of constant velocity and an IDM that wants the speed that it was spawned
@@ -154,20 +153,19 @@ class Yardstick:
         """All drivers, then all but one."""
         self._of_people, self._span = np.empty((2, 1 + self._drivers, 1 + len(EVENTS)))
         """Distances of halves of people, and those that scores from 0 to 1 stand for, by part."""
-        for part, weights in enumerate(self._weights()):
+        parts = np.concatenate([np.ones((1, self._drivers)), 1 - np.eye(self._drivers)])
+        for part, weights in enumerate(parts):
             lanes = self._without(human.lanes, part)[drawn].sum(axis=2)
             halves = _Halves(people, weights, is_first, lanes)
             self._parts.append(halves)
             splits = halves.distances(people)
             if part == 0:
                 self._splits = splits
-            floor = np.min(
-                [
-                    halves.distances(each, self._without(each.lanes, part).sum(axis=0)).mean(axis=0)
-                    for each in others
-                ],
-                axis=0,
-            )
+            lanes_of = [self._without(each.lanes, part).sum(axis=0) for each in others]
+            floors = [
+                halves.distances(*each).mean(axis=0) for each in zip(others, lanes_of, strict=True)
+            ]
+            floor = np.min(floors, axis=0)
             self._of_people[part] = splits.mean(axis=0)
             self._span[part] = floor - self._of_people[part]
         least = np.maximum(self._of_people[:, 1:], LEAST_SPAN)
@@ -226,10 +224,6 @@ class Yardstick:
         recorded = driven.of(slice(len(self._human.driver)))
         energy = _energy_scores(recorded, self._human, self._scales)
         return np.array([np.bincount(self._number, each) for each in energy.T]).T
-
-    def _weights(self) -> Floats:
-        """(1 + D, D) weights of the drivers in each part."""
-        return np.concatenate([np.ones((1, self._drivers)), 1 - np.eye(self._drivers)])
 
     def _without(self, lanes: Floats, part: int) -> Floats:
         """(L, 4) lane counts of a part; without a driver, every D-th unit is left out, too."""

@@ -19,6 +19,16 @@ _LIMIT_BYTES = 2**20
 Numbers = Annotated[tuple[Finite, ...], Field(strict=False)]
 
 
+class Artefact(FrozenModel):
+    """What the package holds as JSON."""
+
+    def to_json(self) -> str:
+        """It as JSON, one field per line."""
+        fields = self.model_dump(mode="json")
+        lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in fields.items()]
+        return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
 class LaneChanges(FrozenModel):
     """When drivers change lanes; see `people.lane_choices`."""
 
@@ -30,7 +40,7 @@ class LaneChanges(FrozenModel):
     """Number of lane changes that these numbers rest on."""
 
 
-class Population(FrozenModel):
+class Population(Artefact):
     """Drivers of one data set; two data sets are never pooled."""
 
     name: str
@@ -79,12 +89,6 @@ class Population(FrozenModel):
     def arrays(self) -> tuple[Floats, Floats]:
         """The mean and the covariance."""
         return np.array(self.mean), np.array(self.covariance)
-
-    def to_json(self) -> str:
-        """The population as JSON, one field per line."""
-        fields = self.model_dump(mode="json")
-        lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in fields.items()]
-        return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def read_population(name: str) -> Population:

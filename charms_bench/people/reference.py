@@ -1,6 +1,5 @@
 """Reference histograms of human driving, which simulated driving is compared with."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +10,7 @@ from pydantic import Field, model_validator
 from charms_bench.errors import suggestion
 from charms_bench.foundation.fields import FilePath, FrozenModel, Name
 from charms_bench.people.following import DECISION_HZ, LANE_CHANGE_SPEED_MPS, followers
+from charms_bench.people.population import Artefact
 from charms_bench.world.following import BIN, BINS, FOLLOWING_RANGE_M, bins_of
 from charms_bench.world.recording_folder import read_folder
 from charms_bench.world.scene import Floats, Ints
@@ -64,7 +64,7 @@ class ReferenceSpec(FrozenModel):
         return self.label or self.name or folder.name or str(folder)
 
 
-class Reference(FrozenModel):
+class Reference(Artefact):
     """What recorded drivers did while they followed; two references are never pooled."""
 
     name: str
@@ -106,12 +106,6 @@ class Reference(FrozenModel):
         """(BINS,) counts of all units; None if nothing was recorded."""
         units = self.units(quantity)
         return units.sum(axis=0) if len(units) else None
-
-    def to_json(self) -> str:
-        """The reference as JSON, one field per line, as in the package."""
-        fields = self.model_dump(mode="json")
-        lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in fields.items()]
-        return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def histograms(values: Floats, units: Ints) -> tuple[tuple[int, ...], ...]:

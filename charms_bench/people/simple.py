@@ -6,17 +6,16 @@ of a population.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from charms_bench.people.calibration import ou_noise
 from charms_bench.people.population import Population
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.people.trips import RATE_HZ, Driver, Trip
 from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats
 
-Driver = Callable[[Trip, np.random.Generator], tuple[Floats, Floats]]
-"""Gaps and speeds (M, n) of M repetitions in the place of a trip's driver."""
 REPETITIONS = 8
 GAP_GAIN_HZ2, SPEED_GAIN_HZ = 0.02, 0.5
 """Of 16 pairs, the one that fits the gaps of the fitted drivers best, on I-75 and on I-24."""
@@ -27,11 +26,7 @@ def constant_time_gap(population: Population) -> Driver:
     """Keeps the first time gap."""
 
     def drives(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        time_gap_s = time_headway(trip.gap[0], trip.speed[0])
-
-        def wanted(gap: Floats, speed: Floats, leader_speed: float) -> Floats:
-            return keeping(time_gap_s, gap, speed, leader_speed)
-
+        wanted = partial(keeping, time_headway(trip.gap[0], trip.speed[0]))
         return _behind(trip, wanted, _noise(trip, population, rng))
 
     return drives

@@ -31,8 +31,7 @@ def situations(
     """The frames of a recording at which drivers decide, and what the drivers see there.
 
     Decision k is made k / `decision_hz` seconds after the recording's first frame, and the nearest
-    frame stands for it. If the frame rate is not a multiple of the decision rate, intervals differ
-    by one frame.
+    frame stands for it. Intervals differ by one frame if the rates are not multiples.
 
     Returns:
         The M rows of `Recording.tracks` at decisions, sorted by direction, frame and x, and their
@@ -44,8 +43,7 @@ def situations(
         lanes: Number of lanes of the carriageway.
         view_cut: Whether the observation may lack a neighbour because the recorded section ends
             within the observation's range.
-        leader_distance: Distance to a leader within 50 m in the same lane, centre to centre, m;
-            null without such a leader.
+        leader_distance: Distance to a leader within 50 m in the lane, centre to centre, m, or null.
 
     Raises:
         DataError: The frame rate is below the decision rate, or there are too many vehicles at

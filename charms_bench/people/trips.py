@@ -5,7 +5,7 @@ gap of 1 to 100 m. Three kinds of recordings are read: folders in highD's format
 that this project keeps of I-24 (CIRCLES) and I-75 (HIGH-SIM).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,21 +53,30 @@ class Trip:
     """(n,) m/s."""
 
 
+Driver = Callable[[Trip, np.random.Generator], tuple[Floats, Floats]]
+"""Gaps and speeds (M, n) of M repetitions, or draws, in the place of a trip's driver."""
+
+
 def read_trips(path: Path) -> list[Trip]:
     """The trips in a folder in highD's format, or in the table of I-24 or of I-75.
 
     Raises:
         DataError: The recordings cannot be read, or contain no trip.
     """
-    rows = _table_rows(path) if path.suffix == ".parquet" else _folder_rows(path)
-    trips = _cut(rows)
-    if not trips:
+    if path.suffix == ".parquet":
+        rows = _table_rows(path)
+    else:
+        rows = pl.concat(_recording_rows(*each) for each in numbered_through(path))
+    allowed = pl.col("gap").is_between(*GAPS_M).fill_null(False)
+    pieces = rows.with_columns(piece=pl.struct("driver", "stretch", allowed).rle_id())
+    pieces = pieces.filter(allowed, pl.len().over("piece") >= round(SHORTEST_S * RATE_HZ))
+    if pieces.is_empty():
         raise DataError(
             f"{path}: no driver follows one leader for {SHORTEST_S:g} s with a gap of "
             f"{GAPS_M[0]:g} to {GAPS_M[1]:g} m. The recorded section must be long enough to see a "
             f"driver for {SHORTEST_S:g} s: at 30 m/s, {30 * SHORTEST_S:g} m"
         )
-    return trips
+    return [_trip(part) for part in pieces.partition_by("piece", maintain_order=True)]
 
 
 def split(trips: Sequence[Trip]) -> tuple[list[Trip], list[Trip]]:
@@ -106,24 +115,23 @@ def _table_rows(path: Path) -> pl.DataFrame:
     return rows.select("driver", "stretch", "gap", "speed")
 
 
-def _folder_rows(folder: Path) -> pl.DataFrame:
-    """The same of all recordings of a folder; their vehicles are numbered through."""
-    tables, first = [], 0
+def numbered_through(folder: Path) -> Iterator[tuple[Recording, int]]:
+    """The recordings of a folder, and what to add to the vehicles of each to tell all apart."""
+    first = 0
     for recording in read_folder(folder):
-        rows = _recording_rows(recording)
-        tables.append(rows.with_columns(pl.col("driver") + first))
+        yield recording, first
         first += int(recording.tracks["vehicle"].max()) + 1  # type: ignore[arg-type]
-    return pl.concat(tables)
 
 
-def _recording_rows(recording: Recording) -> pl.DataFrame:
+def _recording_rows(recording: Recording, first: int) -> pl.DataFrame:
+    """The same of a recording, the numbers of whose drivers begin after `first`."""
     lane = ("direction", "frame", "lane")
     ahead = pl.col("vehicle", "x", "length").shift(-1).over(lane, order_by="x").name.prefix("next_")
     between = pl.col("next_x") - pl.col("x") - (pl.col("next_length") + pl.col("length")) / 2
     rows = (
         recording.tracks.filter("on_road")
         .with_columns(ahead)
-        .with_columns(gap=between, driver="vehicle")
+        .with_columns(gap=between, driver=pl.col("vehicle") + first)
         .sort("vehicle", "frame")
     )
     new = pl.any_horizontal(pl.col("vehicle", "lane", "next_vehicle").diff() != 0)
@@ -148,14 +156,6 @@ def _resampled(rows: pl.DataFrame, rate_hz: float) -> pl.DataFrame:
     }
     first = rows.select(pl.first("driver", "stretch"))
     return pl.DataFrame(columns).join(first, how="cross").select(rows.columns)
-
-
-def _cut(rows: pl.DataFrame) -> list[Trip]:
-    allowed = pl.col("gap").is_between(*GAPS_M).fill_null(False)
-    pieces = rows.with_columns(piece=pl.struct("driver", "stretch", allowed).rle_id())
-    shortest = round(SHORTEST_S * RATE_HZ)
-    pieces = pieces.filter(allowed, pl.len().over("piece") >= shortest)
-    return [_trip(part) for part in pieces.partition_by("piece", maintain_order=True)]
 
 
 def _trip(rows: pl.DataFrame) -> Trip:

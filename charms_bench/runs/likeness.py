@@ -12,8 +12,8 @@ from charms_bench.people.behind import count_lanes, drive_behind, fitting, speed
 from charms_bench.people.blind_lanes import BlindLanes
 from charms_bench.people.calibration import ou_noise, own_parameters
 from charms_bench.people.car_following import IDM, MODELS, drive
-from charms_bench.people.controls import CALIBRATED, controls, in_place
-from charms_bench.people.driven import Driven, conduct, recorded
+from charms_bench.people.controls import CALIBRATED, controls
+from charms_bench.people.driven import Driven, conduct, in_place, recorded
 from charms_bench.people.held_out import SEED, profile_idm, scales_of, starts
 from charms_bench.people.lane_choices import read_lane_counts
 from charms_bench.people.likeness import Score, Yardstick

@@ -46,10 +46,7 @@ class Estimate:
 def wilson(successes: float, trials: float, z: float | None = None) -> Bounds:
     """The score interval of a proportion (Wilson 1927), at 95 % without a normal quantile."""
     low, high = _score(successes, trials, z or _normal_quantile())
-    return (
-        low / trials if successes else 0.0,
-        high / trials if successes < trials else 1.0,
-    )
+    return (low / trials if successes else 0.0, high / trials if successes < trials else 1.0)
 
 
 def garwood(events: int) -> Bounds:

@@ -16,7 +16,7 @@ Comput. 22, algorithm with fixed levels).
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,13 +72,6 @@ class _Points:
     """[A, C]"""
     levels: Floats
     """[A, C]"""
-
-    def take(self, runs: NDArray[np.intp], points: NDArray[np.intp]) -> "_Points":
-        """The points [A', C'] of some runs (A')."""
-        rows = runs[:, None]
-        return _Points(
-            self.normal[rows, points], self.seeds[rows, points], self.levels[rows, points]
-        )
 
 
 def interval(runs: Sequence[SubsetRun], samples: int) -> Bounds:
@@ -175,15 +168,14 @@ def subset_simulation(
         running = running[has_reached]
         points = _start(points, threshold, chains, rng)
         points, accepted, _ = _grow(level, points, threshold, size, samples // chains, rng)
-    return [_finished(each, pilot, samples, chains) for each in found]
-
-
-def _finished(
-    levels: list[tuple[float, float]], pilot: SubsetRun, samples: int, chains: int
-) -> SubsetRun:
-    shares, acceptance = zip(*levels, strict=True)
-    evaluations = samples + (len(levels) - 1) * (samples - chains)
-    return SubsetRun(pilot.thresholds, pilot.sizes, shares, acceptance, evaluations)
+    finished = []
+    for levels in found:
+        shares, acceptance = zip(*levels, strict=True)
+        evaluations = samples + (len(levels) - 1) * (samples - chains)
+        finished.append(
+            replace(pilot, shares=shares, acceptance=acceptance, evaluations=evaluations)
+        )
+    return finished
 
 
 def _draw(
@@ -203,7 +195,8 @@ def _start(points: _Points, threshold: float, chains: int, rng: np.random.Genera
     below = below[reached]
     order = np.where(below, rng.random(below.shape), 2.0).argsort(axis=1)
     places = np.arange(chains) % below.sum(axis=1)[:, None]
-    return points.take(reached, np.take_along_axis(order, places, axis=1))
+    at = reached[:, None], np.take_along_axis(order, places, axis=1)
+    return _Points(points.normal[at], points.seeds[at], points.levels[at])
 
 
 def _grow(

@@ -4,8 +4,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
-from charms_agents.training.backpropagation import squared_error  # noqa: E402
-from charms_agents.training.network import untrained  # noqa: E402
+from charms_agents.training.network import squared_error, untrained  # noqa: E402
 
 
 @pytest.mark.parametrize("layers", [(), (16,), (256, 256), (32, 16, 8)])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("torch", reason="needs the extra 'train'")
 
-from charms_agents.training.temperature import HOTTEST, fitted_temperature, log_likelihood
+from charms_agents.training.supervised import HOTTEST, fitted_temperature, log_likelihood
 
 THIRD = math.log(3)
 """Its softmax beside four zeros is 3/7, and theirs 1/7."""

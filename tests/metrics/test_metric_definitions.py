@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from charms_bench.metrics import METRIC_SETS, PAPER, Metric, MetricSet, standard, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, standard, sums_by_episode
 from charms_bench.world.scene import SceneSettings
 
 SCENE = SceneSettings()
@@ -127,9 +127,3 @@ def test_an_episode_without_steps_is_still_an_episode() -> None:
     by_name = dict(zip([m.name for m in METRICS], values(episodes, steps), strict=True))
     assert by_name["crashed_episodes"] == 0.5
     assert by_name["tet"] == 0.0
-
-
-def test_an_interval_by_its_older_name_is_the_same() -> None:
-    sums = (pl.len(), (pl.col("speed") > 30).sum())
-    metric = Metric("fast", "", "", "steps", sums, interval="share")  # type: ignore[arg-type]
-    assert metric.interval == "proportion"

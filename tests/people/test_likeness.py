@@ -8,8 +8,8 @@ from scipy import stats
 
 from charms_bench.people.calibration import ou_noise
 from charms_bench.people.car_following import IDM, drive
-from charms_bench.people.controls import CALIBRATED, calibrated, controls, in_place
-from charms_bench.people.driven import Driven, conduct, recorded
+from charms_bench.people.controls import CALIBRATED, calibrated, controls
+from charms_bench.people.driven import Driven, conduct, in_place, recorded
 from charms_bench.people.held_out import scales_of, starts
 from charms_bench.people.likeness import EVENTS, Yardstick, _jackknifed, _rates, _Sums
 from charms_bench.people.population import read_population

@@ -7,6 +7,7 @@ Whole drivers are held out, with their samples of all recordings; see `drivers`.
 """
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -86,13 +87,6 @@ class Interface(NamedTuple):
 DEFAULT_INTERFACE = Interface()
 
 
-def _columns(observation: Neighbours, interface: Interface) -> pl.Schema:
-    """The columns of the Parquet file."""
-    rows, columns = observation.shape
-    observed = pl.Array(pl.Float32, rows * columns)
-    return pl.Schema({**_DRIVER, "observation": observed, "label": interface.label})
-
-
 class SampleSettings(FrozenModel):
     """How samples are taken from recordings."""
 
@@ -159,8 +153,8 @@ class SampleStore:
     @cached_property
     def fingerprint(self) -> str:
         """Hash of the recordings, the settings and this project's version; see `fingerprint`."""
-        how = (self.settings, self.observation, self.interface)
-        return fingerprint(find_trios(self.recordings), *how)
+        trios = find_trios(self.recordings)
+        return fingerprint(trios, self.settings, self.observation, self.interface)
 
     @property
     def path(self) -> Path:
@@ -174,17 +168,21 @@ class SampleStore:
             DataError: The recordings or the Parquet file cannot be used.
             RunFolderError: The Parquet file cannot be written.
         """
-        path, columns = self.path, _columns(self.observation, self.interface)
+        path, observed = self.path, pl.Array(pl.Float32, math.prod(self.observation.shape))
+        types = {"observation": observed, "label": self.interface.label}
         if not path.exists():
-            how = (self.settings, self.observation, self.interface)
-            samples = collect(self.recordings, *how)
-            written = BytesIO()
-            _table(samples, columns).write_parquet(written)
+            samples = collect(self.recordings, self.settings, self.observation, self.interface)
+            flat, written = samples.observations.reshape(len(samples.labels), -1), BytesIO()
+            samples.rows.with_columns(
+                pl.Series("held_out", samples.held_out),
+                pl.Series("observation", flat, dtype=types["observation"]),
+                pl.Series("label", samples.labels, dtype=types["label"]),
+            ).write_parquet(written)
             write_bytes(path, written.getvalue())
         try:
             content = BytesIO(read_limited(path, SIZE_LIMIT_BYTES))
             table = pl.scan_parquet(content).head(ROW_LIMIT + 1).collect()
-            if table.schema != columns or table.height > ROW_LIMIT:
+            if table.schema != pl.Schema({**_DRIVER, **types}) or table.height > ROW_LIMIT:
                 raise DataError(
                     f"{path}: holds other columns or too many rows; delete it and try again"
                 )
@@ -282,8 +280,7 @@ class CharmsSampler:
 
         Columns recording, direction, vehicle, frame, driver, rejected (a reason or null),
         longitudinal and lateral (the intents), acceleration, lateral_speed, sampled, and label
-        (null where rejected). The means that normalise magnitudes are taken over all accepted
-        decisions.
+        (null where rejected). Magnitudes are normalised by means over all accepted decisions.
         """
         decisions = pl.concat(self._decisions).join(
             drivers(self._vehicles), on=["recording", "vehicle"], how="left", maintain_order="left"
@@ -396,12 +393,3 @@ def _held_out(driver: pl.Series, settings: SampleSettings) -> Bools:
         wanted = min(max(wanted, 1), numbers.size - 1)
     drawn = np.random.default_rng(settings.seed).permutation(numbers)[:wanted]
     return np.isin(driver.to_numpy(), drawn)
-
-
-def _table(samples: Samples, columns: pl.Schema) -> pl.DataFrame:
-    flat = samples.observations.reshape(len(samples.observations), -1)
-    return samples.rows.with_columns(
-        pl.Series("held_out", samples.held_out),
-        pl.Series("observation", flat, dtype=columns["observation"]),
-        pl.Series("label", samples.labels, dtype=columns["label"]),
-    )

@@ -19,12 +19,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
-from charms_bench.world.observations import (
-    CHANGE_SCALE,
-    COMMANDS,
-    REPEATS_SCALE,
-    Neighbours,
-)
+from charms_bench.world.observations import CHANGE_SCALE, COMMANDS, REPEATS_SCALE, Neighbours
 from charms_bench.world.scene import Observations, SceneSettings
 
 HELD_OUT = 0.1
@@ -57,8 +52,9 @@ def simulated_samples(
     for driver in drivers:
         for scene, traffic in places:
             seeds = np.arange(first_seed, first_seed + episodes, dtype=np.uint64)
-            where = (scene, traffic, others, seeds)
-            seen, taken, running = _driven(driver, *where, observation, actions)
+            simulation = Simulation(scene, episodes, _EGO, traffic, {**others, _EGO: driver})
+            simulation.reset(seeds)
+            seen, taken, running = _driven(simulation, observation, actions)
             last = np.arange(episodes) >= episodes - max(1, round(HELD_OUT * episodes))
             observed.append(seen[running])
             chosen.append(taken[running])
@@ -69,18 +65,10 @@ def simulated_samples(
 
 
 def _driven(
-    driver: Agent,
-    scene: SceneSettings,
-    traffic: Traffic,
-    others: Mapping[str, Agent],
-    seeds: np.ndarray[tuple[int], np.dtype[np.uint64]],
-    observation: Neighbours,
-    actions: Sequence[MetaAction],
+    simulation: Simulation, observation: Neighbours, actions: Sequence[MetaAction]
 ) -> tuple[Observations, np.ndarray, np.ndarray]:
     """Observations (D, B, rows, columns), actions (D, B), and which of them are samples (D, B)."""
-    simulation = Simulation(scene, seeds.size, _EGO, traffic, {**others, _EGO: driver})
-    simulation.reset(seeds)
-    egos, now = simulation.ego_vehicles, simulation.scene
+    scene, egos, now = simulation.settings, simulation.ego_vehicles, simulation.scene
     speeds, seen, running, lanes, targets = [now.speed[egos]], [], [], [], []
     for _ in range(scene.decisions):
         running.append(now.active.copy())

@@ -37,8 +37,7 @@ from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Floats, Ints, Scene
 
 CONFLICT_S = 2.0
-"""From this time to collision down, at the present speeds, a conflict costs; metrics count one
-below 1.5 s."""
+"""From this time to collision down, a conflict costs; metrics count one below 1.5 s."""
 DISCOMFORT_LIMIT = 30.0
 """The most that acceleration and jerk take off r_c, so that an emergency is not worse than that."""
 
@@ -98,7 +97,7 @@ class CompletedReward:
         """Observes the scenes before the egos' actions (B,) are carried out."""
         scene, egos = simulation.scene, simulation.ego_vehicles
         return Before(
-            affected(scene, egos, bool(math.sin(self.angle_rad))),
+            affected(scene, bool(math.sin(self.angle_rad))),
             scene.speed[egos],
             scene.acceleration[egos],
             scene.target_lane[egos],

@@ -47,8 +47,7 @@ class Epoch:
     temperature: float
     """T at which the training samples are the most likely under softmax(Q / T)."""
     log_likelihood: float | None
-    """Mean over held-out samples of the sum of y log softmax(Q / T), natural logarithm; None if no
-    samples are held out."""
+    """Mean of the sum of y log softmax(Q / T) over held-out samples, in nats; None without any."""
     agreement: float | None
     """Share of held-out samples in which the network's action is the label's most probable one,
     or one of several; None if no samples are held out."""

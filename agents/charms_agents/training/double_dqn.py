@@ -17,13 +17,13 @@ from torch import Tensor
 from torch.nn import Linear, Sequential
 from torch.nn.functional import log_softmax
 
-from charms_agents.training.backpropagation import squared_error
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.hyperparameters import Hyperparameters
 from charms_agents.training.network import (
     Arrays,
     load_state,
     side_by_side,
+    squared_error,
     state_arrays,
     untrained,
 )
@@ -107,12 +107,11 @@ class DoubleDQN:
         if self.prior is not None:
             logits = self.logits(self.observed)
             chosen = (logits + self.rng.gumbel(size=logits.shape)).argmax(axis=1)
-            return np.where(self.rng.random(self.h.scenes) < self.exploration, actions, chosen)
-        if self.steps >= self.h.learning_starts:
-            greedy = self.values(self.observed).argmax(axis=1)
-            explores = self.rng.random(self.h.scenes) < self.exploration
-            actions = np.where(explores, actions, greedy)
-        return actions
+        elif self.steps >= self.h.learning_starts:
+            chosen = self.values(self.observed).argmax(axis=1)
+        else:
+            return actions
+        return np.where(self.rng.random(self.h.scenes) < self.exploration, actions, chosen)
 
     def remember(self, *parts: NDArray[Any]) -> None:
         """Writes a row of the replay buffer, its parts in the order of `replay`."""
@@ -162,8 +161,7 @@ class DoubleDQN:
     def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> Returns:
         """The parts of y_t, eq. 3 of the paper, from steps in the replay buffer, of any one shape.
 
-        A return adds up the rewards of `return_steps` steps, or of fewer if the episode or the
-        buffer ends before.
+        A return adds up `return_steps` rewards, or fewer if the episode or the buffer ends before.
 
         Returns:
             The sums of discounted rewards; the discounts of the values after the last steps, 0

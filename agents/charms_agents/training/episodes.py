@@ -46,16 +46,10 @@ class Episodes:
         """Carries out the actions (B,)."""
         given = np.split(actions, self._ends[:-1])
         steps = [_step(each, own) for each, own in zip(self._environments, given, strict=True)]
-        if len(steps) == 1:
-            return steps[0]
-        return Step(
-            observed=np.concatenate([each.observed for each in steps]),
-            following=np.concatenate([each.following for each in steps]),
-            rewards=np.concatenate([each.rewards for each in steps]),
-            failed=np.concatenate([each.failed for each in steps]),
-            ended=np.concatenate([each.ended for each in steps]),
-            facts=[fact for each in steps for fact in each.facts],
-        )
+        *arrays, facts = zip(*steps, strict=True)
+        joined = [fact for each in facts for fact in each]
+        observed, following, rewards, failed, ended = map(np.concatenate, arrays)
+        return Step(observed, following, rewards, failed, ended, joined)
 
     def arrays(self) -> Arrays:
         """The state of all running episodes, as plain arrays."""

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -9,24 +10,20 @@ from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from torch.nn import Sequential
-
-from charms_agents.human.samples import Samples, SampleStore
+from charms_agents.human.samples import SampleStore
 from charms_agents.human.simulated import simulated_samples
-from charms_agents.training.hyperparameters import Supervised
 from charms_agents.training.network import untrained
 from charms_agents.training.network_file import read_network
 from charms_agents.training.own_driving import EPISODES, EXPLORATION, own_driving
 from charms_agents.training.reinforcement import Reinforcement
-from charms_agents.training.settings import SimulatedDrivers, Stage, TrainingSuite
-from charms_agents.training.standardised import folded, unfolded
+from charms_agents.training.settings import HumanStage, SimulatedDrivers, Stage, TrainingSuite
+from charms_agents.training.standardised import folded
 from charms_agents.training.supervised import Fit
 from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
-from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
-from charms_bench.world.scene import Observations
+from charms_bench.world.actions import MetaAction
 
 INTERFACE = {"observation", "actions"}
 """What a suite says of the networks' inputs and outputs."""
@@ -54,9 +51,9 @@ class Job:
     """Everything that decides the resulting network, ready for JSON."""
     make_learner: Callable[[], Reinforcement | Fit]
     """Makes the learner, before it has learnt anything."""
-    actions: tuple[MetaAction, ...] = DEFAULT_ACTIONS
+    actions: tuple[MetaAction, ...]
     """The meta-actions with which the network has learnt."""
-    draws: bool = False
+    draws: bool
     """Whether the network's values are logits, by which its actions are drawn."""
 
     @cached_property
@@ -104,7 +101,6 @@ def reinforcement_job(
     `prior` is the network of the stage's prior, if it has one.
     """
     stage = suite.stages[name]
-    first_seed = suite.first_episode_seed
     weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
     # An option at the paper's value is left out, so that stages without it keep their keys.
     options = _conditions(suite, stage)
@@ -119,7 +115,7 @@ def reinforcement_job(
         "steps": stage.steps,
         "style": {"svo": stage.svo, "weights": weights, **angle},
         "seed": suite.seed,
-        "first_episode_seed": first_seed,
+        "first_episode_seed": suite.first_episode_seed,
         "hyperparameters": suite.hyperparameters_of(stage).inputs,
         "curve_steps": suite.curve_steps,
         "scene": stage.scene.model_dump(mode="json"),
@@ -128,19 +124,11 @@ def reinforcement_job(
         **interface,
         **options,
     }
-    return Job(
-        output,
-        seed_folder,
-        name,
-        suite,
-        style=f"{stage.weights}, {stage.svo}",
-        total=stage.steps,
-        decision_hz=Policy.decision_hz,
-        inputs=inputs,
-        make_learner=partial(_reinforcement, suite, stage, drivers, first_seed, prior),
-        actions=suite.actions_in(stage.scene),
-        draws=prior is not None,
-    )
+    style = f"{stage.weights}, {stage.svo}"
+    make = partial(Reinforcement, suite, stage, drivers, prior)
+    known = (style, stage.steps, Policy.decision_hz, inputs, make)
+    actions, draws = suite.actions_in(stage.scene), prior is not None
+    return Job(output, seed_folder, name, suite, *known, actions, draws)
 
 
 def _conditions(suite: TrainingSuite, stage: Stage | SimulatedDrivers) -> dict[str, Any]:
@@ -149,17 +137,6 @@ def _conditions(suite: TrainingSuite, stage: Stage | SimulatedDrivers) -> dict[s
         return {}
     found = suite.conditions_of(stage)
     return {"conditions": [each.model_dump(mode="json", exclude_none=True) for each in found]}
-
-
-def _reinforcement(
-    suite: TrainingSuite,
-    stage: Stage,
-    drivers: Mapping[str, Agent],
-    first_seed: int,
-    prior: Path | None,
-) -> Reinforcement:
-    network = None if prior is None else unfolded(read_network(prior))
-    return Reinforcement(suite, stage, drivers, first_seed, network)
 
 
 def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any]:
@@ -191,59 +168,43 @@ def human_job(
         start: The network to fine-tune; None is imitation.
         drivers: Those among which `start` was trained, or among which simulated drivers drive.
     """
-    assert suite.human is not None
-    stage = suite.human.stages[name]
-    settings = suite.human.settings_of(stage)
+    human = suite.human
+    assert human is not None
+    stage = human.stages[name]
+    settings = human.settings_of(stage)
     layers = stage.hidden_layers or suite.hyperparameters.hidden_layers
     starts_from: dict[str, Any] = {"hidden_layers": list(layers)}
-    style, standardised, draws = "human", True, settings.loss == "cross_entropy"
-    actions = suite.actions
+    style, draws, scene = "human", settings.loss == "cross_entropy", None
     learnt: dict[str, Any] = {}
-    drive: Callable[[Sequential], Observations] | None = None
     if stage.fine_tunes is not None and start is not None:
         sha256 = hashlib.sha256(start.read_bytes()).hexdigest()
         starts_from = {"stage": stage.fine_tunes, "weights_sha256": sha256}
         tuned = suite.stages[stage.fine_tunes]
         style = f"{tuned.weights}, {tuned.svo}, fine-tuned on human driving"
-        standardised = suite.hyperparameters_of(tuned).standardised
-        actions = suite.actions_in(tuned.scene)
-        draws = tuned.prior is not None
+        draws, scene = tuned.prior is not None, tuned.scene
         if settings.rehearsal:
-            first_seed = suite.first_episode_seed
             learnt["rehearsed"] = {
-                "scene": tuned.scene.model_dump(mode="json"),
+                "scene": scene.model_dump(mode="json"),
                 **_conditions(suite, tuned),
                 "traffic": _traffic_inputs(tuned, drivers),
                 "episodes": EPISODES,
-                "first_episode_seed": first_seed,
+                "first_episode_seed": suite.first_episode_seed,
                 "exploration": EXPLORATION,
             }
-            drive = partial(
-                own_driving,
-                places=suite.places_of(tuned),
-                drivers=drivers,
-                first_seed=first_seed,
-                observation=suite.observed,
-                meta_actions=suite.actions,
-            )
     if samples is not None:
-        load: Callable[[], Samples] = samples.load
+        decision_hz = samples.settings.decision_hz
         learnt["samples"] = {
             "fingerprint": samples.fingerprint,
             "settings": samples.settings.model_dump(mode="json"),
         }
-        decision_hz = samples.settings.decision_hz
     else:
-        assert suite.human.simulated is not None
-        actions = suite.actions_in(suite.human.simulated.scene)
-        load, decision_hz = (
-            partial(_simulated, suite, drivers),
-            suite.human.simulated.scene.decision_hz,
-        )
+        simulated = human.simulated
+        assert simulated is not None
+        decision_hz, scene = simulated.scene.decision_hz, simulated.scene
         learnt["simulated"] = {
-            **suite.human.simulated.model_dump(mode="json", exclude={"conditions"}),
-            **_conditions(suite, suite.human.simulated),
-            "files_sha256": [_files_sha256(each.make({})) for each in suite.human.simulated.agents],
+            **simulated.model_dump(mode="json", exclude={"conditions"}),
+            **_conditions(suite, simulated),
+            "files_sha256": [_files_sha256(each.make({})) for each in simulated.agents],
             "first_episode_seed": suite.first_simulated_seed,
         }
     inputs = {
@@ -252,57 +213,56 @@ def human_job(
         "style": style,
         "seed": suite.seed,
         "supervised": settings.model_dump(mode="json"),
-        "standardised": standardised,
+        "standardised": _is_standardised(suite, stage),
         **suite.model_dump(include=INTERFACE, exclude_defaults=True),
         **learnt,
         "charms_bench": version("charms-bench"),
     }
-    return Job(
-        output,
-        seed_folder,
-        name,
-        suite,
-        style=style,
-        total=settings.epochs,
-        decision_hz=decision_hz,
-        inputs=inputs,
-        make_learner=partial(_fit, start, layers, load, settings, suite, standardised, drive),
-        actions=actions,
-        draws=draws,
-    )
+    make = partial(_fit, suite, stage, layers, samples, start, drivers)
+    known = (style, settings.epochs, decision_hz, inputs, make)
+    actions = suite.actions if scene is None else suite.actions_in(scene)
+    return Job(output, seed_folder, name, suite, *known, actions, draws)
 
 
 def _files_sha256(agent: Agent) -> str:
     return agent.files_sha256 if isinstance(agent, DriverModel) else agent.weights_sha256
 
 
-def _simulated(suite: TrainingSuite, drivers: Mapping[str, Agent]) -> Samples:
-    """The samples of the suite's simulated drivers among others."""
-    assert suite.human is not None
-    simulated = suite.human.simulated
-    assert simulated is not None
-    return simulated_samples(
-        [each.make({}) for each in simulated.agents],
-        suite.places_of(simulated),
-        drivers,
-        simulated.episodes,
-        suite.first_simulated_seed,
-        suite.observed,
-        suite.actions,
-    )
+def _is_standardised(suite: TrainingSuite, stage: HumanStage) -> bool:
+    """Whether the weights that learn are those for standardised observations."""
+    tuned = stage.fine_tunes and suite.stages[stage.fine_tunes]
+    return suite.hyperparameters_of(tuned).standardised if tuned else True
 
 
 def _fit(
-    start: Path | None,
-    layers: Sequence[int],
-    load: Callable[[], Samples],
-    settings: Supervised,
     suite: TrainingSuite,
-    standardised: bool,
-    drive: Callable[[Sequential], Observations] | None,
+    stage: HumanStage,
+    layers: Sequence[int],
+    store: SampleStore | None,
+    start: Path | None,
+    drivers: Mapping[str, Agent],
 ) -> Fit:
-    rows, columns = suite.observed.shape
-    fresh = folded(untrained(layers, suite.seed, rows * columns, len(suite.actions)))
-    network = read_network(start) if start else fresh
-    driven = drive(network) if drive else None
-    return Fit(network, load(), settings, suite.seed, standardised, driven)
+    """The learner of a stage; see `human_job`."""
+    human, seen, actions = suite.human, suite.observed, suite.actions
+    assert human is not None
+    settings = human.settings_of(stage)
+    fresh = folded(untrained(layers, suite.seed, math.prod(seen.shape), len(actions)))
+    network, driven = read_network(start) if start else fresh, None
+    if stage.fine_tunes and settings.rehearsal:
+        places = suite.places_of(suite.stages[stage.fine_tunes])
+        driven = own_driving(network, places, drivers, suite.first_episode_seed, seen, actions)
+    if store is not None:
+        samples = store.load()
+    else:
+        simulated = human.simulated
+        assert simulated is not None
+        samples = simulated_samples(
+            [each.make({}) for each in simulated.agents],
+            suite.places_of(simulated),
+            drivers,
+            simulated.episodes,
+            suite.first_simulated_seed,
+            seen,
+            actions,
+        )
+    return Fit(network, samples, settings, suite.seed, _is_standardised(suite, stage), driven)

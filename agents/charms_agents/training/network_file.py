@@ -5,18 +5,17 @@
 
 from copy import deepcopy
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
 import torch
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
-from onnx import NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
+from onnx import helper, numpy_helper
 from torch.nn import LSTM, Module, ReLU, Sequential
 
 from charms_agents.training.network import ACTIVATIONS, layers_of, network_of
-from charms_agents.training.onnx_input import Given
+from charms_agents.training.onnx_input import Given, Graph, port
 from charms_bench.errors import ModelError
 from charms_bench.foundation.files import write_atomically
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -116,8 +115,7 @@ def export(
         observations: (M, rows, columns), or (M, history, rows, columns), on which the file's
             actions are compared with the network's. If the file is masked, their last row is the
             action mask.
-        masked: Whether the file has a second input, the action mask, and never chooses a masked
-            action.
+        masked: Whether a second input is the action mask, and no masked action is ever chosen.
         lstm: The network's inputs are the outputs of this LSTM, and the file has its states. The
             observations are compared as those of `STEPS` decisions in a row.
         stochastic: Whether the file has an input of random numbers, by which it draws its actions;
@@ -202,55 +200,50 @@ def _serialised(
     given: Given,
     actions: ActionsLike,
 ) -> bytes:
-    layers = layers_of(network)
     after = [type(module) for module in network if type(module) in _STEPS]
-    width = outputs_of(actions)
-    inputs = [_port("observations", "batch", *shape)]
-    outputs = [_port("values", "batch", width)]
-    nodes = [helper.make_node("Flatten", ["observations"], ["flat"], axis=1)]
-    arrays: dict[str, NDArray[Any]] = {}
-    constants: dict[str, float] = {}
-    last = given.add_to(nodes, arrays, "flat")
+    width, graph = outputs_of(actions), Graph()
+    graph.inputs.append(port("observations", "batch", *shape))
+    graph.outputs.append(port("values", "batch", width))
+    last = given.add_to(graph, graph.add("Flatten", ["observations"], "flat", axis=1))
     if lstm:
-        nodes.append(helper.make_node("Unsqueeze", [last, "time"], ["sequence"]))
-        arrays["time"] = np.array([0])
-        last = "sequence"
+        graph.arrays["time"] = np.array([0])
+        last = graph.add("Unsqueeze", [last, "time"], "sequence")
         for index in range(lstm.num_layers):
-            _add_cells(lstm, index, last, nodes, arrays, inputs, outputs)
-            last = f"next_h_{index}"
-        nodes.append(helper.make_node("Squeeze", [last, "time"], ["remembered"]))
-        last = "remembered"
+            last = _add_cells(graph, lstm, index, last)
+        last = graph.add("Squeeze", [last, "time"], "remembered")
     # The names of the values before and after each step that follows the layers.
     ends = [*["unmasked"] * masked, *["logits"] * stochastic, "values"]
+    layers = layers_of(network)
     for index, (weight, bias) in enumerate(layers):
         parameters = [f"weight_{index}", f"bias_{index}"]
-        arrays |= zip(parameters, (weight, bias), strict=True)
+        graph.arrays.update(zip(parameters, (weight, bias), strict=True))
         final, activated = index == len(layers) - 1, index < len(after)
         out = ends[0] if final and not activated else f"linear_{index}"
-        nodes.append(helper.make_node("Gemm", [last, *parameters], [out], transB=1))
+        last = graph.add("Gemm", [last, *parameters], out, transB=1)
         if activated:
-            last = ends[0] if final else f"hidden_{index}"
-            nodes += _activated(after[index], out, last, constants)
+            last = _activated(graph, after[index], last, ends[0] if final else f"hidden_{index}")
     if masked:
-        inputs.append(_port(MASK_INPUT, "batch", width))
-        constants |= {"one": 1.0, "masked": MASKED}
-        nodes.append(helper.make_node("Sub", [MASK_INPUT, "one"], ["closed"]))
-        nodes.append(helper.make_node("Mul", ["closed", "masked"], ["lost"]))
-        nodes.append(helper.make_node("Add", [ends[0], "lost"], [ends[1]]))
+        graph.inputs.append(port(MASK_INPUT, "batch", width))
+        graph.constants.update(one=1.0, masked=MASKED)
+        graph.add("Sub", [MASK_INPUT, "one"], "closed")
+        graph.add("Mul", ["closed", "masked"], "lost")
+        graph.add("Add", [ends[0], "lost"], ends[1])
     if stochastic:
         # With -log(-log(u)) added, each logit is the largest with its probability (Gumbel-max).
-        inputs.append(_port(NOISE_INPUT, "batch", width))
-        constants |= DRAW_RANGE
-        nodes.append(helper.make_node("Clip", [NOISE_INPUT, "smallest", "largest"], ["drawn"]))
-        nodes.append(helper.make_node("Log", ["drawn"], ["log_drawn"]))
-        nodes.append(helper.make_node("Neg", ["log_drawn"], ["exponential"]))
-        nodes.append(helper.make_node("Log", ["exponential"], ["log_exponential"]))
-        nodes.append(helper.make_node("Sub", [ends[-2], "log_exponential"], ["values"]))
-    arrays |= {name: np.array(value, np.float32) for name, value in constants.items()}
+        graph.inputs.append(port(NOISE_INPUT, "batch", width))
+        graph.constants.update(DRAW_RANGE)
+        graph.add("Clip", [NOISE_INPUT, "smallest", "largest"], "drawn")
+        graph.add("Log", ["drawn"], "log_drawn")
+        graph.add("Neg", ["log_drawn"], "exponential")
+        graph.add("Log", ["exponential"], "log_exponential")
+        graph.add("Sub", [ends[-2], "log_exponential"], "values")
+    constants = {name: np.array(value, np.float32) for name, value in graph.constants.items()}
+    arrays = graph.arrays | constants
     tensors = [numpy_helper.from_array(array, name) for name, array in arrays.items()]
-    graph = helper.make_graph(nodes, "policy", inputs, outputs, tensors)
     exported = helper.make_model(
-        graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
+        helper.make_graph(graph.nodes, "policy", graph.inputs, graph.outputs, tensors),
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
     )
     own = meta_actions_of(actions)
     said = metadata_of(own) if own else {"actions": "continuous"}
@@ -260,35 +253,18 @@ def _serialised(
     return data
 
 
-def _activated(
-    kind: type[Module], x: str, result: str, constants: dict[str, float]
-) -> list[NodeProto]:
-    """The nodes of an activation of `x`; the numbers that they need are added to `constants`."""
-    nodes, names, steps = [], {"x": x}, _STEPS[kind]
+def _activated(graph: Graph, kind: type[Module], x: str, result: str) -> str:
+    """Adds an activation of `x`, and returns its result."""
+    names, steps = {"x": x}, _STEPS[kind]
     for number, (operator, inputs) in enumerate(steps):
-        taken = []
-        for each in inputs:
-            if isinstance(each, str):
-                taken.append(names[each])
-            else:
-                taken.append(f"number_{each:g}")
-                constants[taken[-1]] = each
+        taken = [names[each] if isinstance(each, str) else graph.constant(each) for each in inputs]
         out = result if number == len(steps) - 1 else f"{result}_{number}"
-        nodes.append(helper.make_node(operator, taken, [out]))
-        names[operator] = out
-    return nodes
+        names[operator] = graph.add(operator, taken, out)
+    return result
 
 
-def _add_cells(
-    lstm: LSTM,
-    index: int,
-    last: str,
-    nodes: list[NodeProto],
-    arrays: dict[str, NDArray[Any]],
-    inputs: list[ValueInfoProto],
-    outputs: list[ValueInfoProto],
-) -> None:
-    """Adds a layer of an LSTM, which takes (1, batch, width), and its states `h` and `c`."""
+def _add_cells(graph: Graph, lstm: LSTM, index: int, last: str) -> str:
+    """Adds a layer of an LSTM, which takes (1, batch, width), and its states; returns `h`."""
     units = lstm.hidden_size
     gates = (
         getattr(lstm, f"{part}_l{index}").detach().numpy().reshape(4, units, -1)
@@ -297,13 +273,11 @@ def _add_cells(
     # torch has the gates input, forget, cell, output; ONNX has input, output, forget, cell.
     w, r, *biases = (each[[0, 3, 1, 2]].reshape(1, 4 * units, -1) for each in gates)
     weights = [f"lstm_{index}_{part}" for part in ("input", "recurrent", "bias")]
-    arrays |= zip(weights, (w, r, np.concatenate(biases, axis=1)[..., 0]), strict=True)
+    arrays = (w, r, np.concatenate(biases, axis=1)[..., 0])
+    graph.arrays.update(zip(weights, arrays, strict=True))
     before, then = [f"h_{index}", f"c_{index}"], [f"next_h_{index}", f"next_c_{index}"]
     taken = [last, *weights, "", *before]
-    nodes.append(helper.make_node("LSTM", taken, ["", *then], hidden_size=units))
-    for ports, names in (inputs, before), (outputs, then):
-        ports += [_port(name, 1, "batch", units) for name in names]
-
-
-def _port(name: str, *sizes: str | int) -> ValueInfoProto:
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
+    graph.nodes.append(helper.make_node("LSTM", taken, ["", *then], hidden_size=units))
+    graph.inputs.extend(port(name, 1, "batch", units) for name in before)
+    graph.outputs.extend(port(name, 1, "batch", units) for name in then)
+    return then[0]

@@ -1,13 +1,39 @@
 """What a network is given of the observations: frames, their order, and a normalisation."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from onnx import NodeProto, helper
+from onnx import NodeProto, TensorProto, ValueInfoProto, helper
 
-Arrays = dict[str, NDArray[Any]]
+
+@dataclass(frozen=True)
+class Graph:
+    """An ONNX graph while it is put together."""
+
+    nodes: list[NodeProto] = field(default_factory=list)
+    arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
+    constants: dict[str, float] = field(default_factory=dict)
+    """Further arrays, which follow the others in the file."""
+    inputs: list[ValueInfoProto] = field(default_factory=list)
+    outputs: list[ValueInfoProto] = field(default_factory=list)
+
+    def add(self, operator: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
+        """Adds a node with one output, and returns the name of the output."""
+        self.nodes.append(helper.make_node(operator, inputs, [output], **attributes))
+        return output
+
+    def constant(self, value: float) -> str:
+        """Adds a number, and returns its name."""
+        self.constants[name := f"number_{value:g}"] = value
+        return name
+
+
+def port(name: str, *sizes: str | int) -> ValueInfoProto:
+    """An input or an output of a graph."""
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)
 
 
 @dataclass(frozen=True)
@@ -39,30 +65,25 @@ class Given:
         values = (flat - self.mean) / self.deviation
         return np.asarray(np.clip(values, -self.clip, self.clip), np.float32)
 
-    def add_to(self, nodes: list[NodeProto], arrays: Arrays, last: str) -> str:
-        """Adds the nodes and arrays that compute `of` the flat input `last`; returns the result."""
+    def add_to(self, graph: Graph, last: str) -> str:
+        """Adds what computes `of` the flat input `last`; returns the result."""
+        arrays = graph.arrays
         if self.repeats and self.history > 1:
             frames = [f"frame_{k}" for k in range(self.history)]
-            nodes.append(helper.make_node("Split", [last], frames, axis=1))
+            graph.nodes.append(helper.make_node("Split", [last], frames, axis=1))
             arrays["nothing"] = np.zeros(1, np.float32)
             for k in reversed(range(self.history - 1)):
-                size, found, filled = f"size_{k}", f"is_frame_{k}", f"filled_{k}"
-                nodes.append(helper.make_node("ReduceL1", [frames[k]], [size], axes=[1]))
-                nodes.append(helper.make_node("Greater", [size, "nothing"], [found]))
-                nodes.append(helper.make_node("Where", [found, frames[k], frames[k + 1]], [filled]))
-                frames[k] = filled
-            last = "frames"
-            nodes.append(helper.make_node("Concat", frames, [last], axis=1))
+                size = graph.add("ReduceL1", [frames[k]], f"size_{k}", axes=[1])
+                found = graph.add("Greater", [size, "nothing"], f"is_frame_{k}")
+                frames[k] = graph.add("Where", [found, frames[k], frames[k + 1]], f"filled_{k}")
+            last = graph.add("Concat", frames, "frames", axis=1)
         if self.mean is not None and self.deviation is not None:
             arrays["mean"] = self.mean.astype(np.float32)
             arrays["deviation"] = self.deviation.astype(np.float32)
-            nodes.append(helper.make_node("Sub", [last, "mean"], ["centred"]))
-            last = "normalised"
-            nodes.append(helper.make_node("Div", ["centred", "deviation"], [last]))
+            graph.add("Sub", [last, "mean"], "centred")
+            last = graph.add("Div", ["centred", "deviation"], "normalised")
             if np.isfinite(self.clip):
-                arrays["least"], arrays["most"] = (
-                    np.array(sign * self.clip, np.float32) for sign in (-1, 1)
-                )
-                nodes.append(helper.make_node("Clip", [last, "least", "most"], ["clipped"]))
-                last = "clipped"
+                arrays["least"] = np.array(-self.clip, np.float32)
+                arrays["most"] = np.array(self.clip, np.float32)
+                last = graph.add("Clip", [last, "least", "most"], "clipped")
         return last

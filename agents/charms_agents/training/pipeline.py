@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from rich.console import Console
 from charms_agents.human.samples import SampleStore
 from charms_agents.training.job import Job, human_job, reinforcement_job, title_of
 from charms_agents.training.schedule import run_stages
-from charms_agents.training.settings import TrainingSuite
+from charms_agents.training.settings import SimulatedDrivers, Stage, TrainingSuite
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.stage_progress import progress
 from charms_agents.training.suite_file import load_training
@@ -63,7 +63,7 @@ def run(
 
     samples = None
     if any(
-        suite.human_stages[name].drivers == "recorded" for name in {*names} & {*suite.human_stages}
+        suite.human_stages[name].drivers == "recorded" for name in names if name not in suite.stages
     ):
         samples = _sample_store(suite_file, suite, output, recordings)
 
@@ -119,31 +119,25 @@ def _make_job(
     def network(stage: str) -> Path:
         return finished[title_of(seed_folder, stage)].file(".onnx")
 
-    def made(names: Iterable[str]) -> dict[str, Agent]:
-        found: dict[str, Agent] = {}
-        for driver in names:
-            if driver in suite.names:
-                found[driver] = OnnxPolicy(network(driver))
-            elif is_network(driver):
-                found[driver] = OnnxPolicy(folder / driver)
-            else:
-                found[driver] = make_agent(driver)
-        return found
+    def agent(driver: str) -> Agent:
+        if driver in suite.names:
+            return OnnxPolicy(network(driver))
+        return OnnxPolicy(folder / driver) if is_network(driver) else make_agent(driver)
+
+    def drivers(stage: Stage | SimulatedDrivers | None) -> dict[str, Agent]:
+        return {each: agent(each) for each in suite.drivers_of(stage)} if stage else {}
 
     if (stage := suite.stages.get(name)) is not None:
         prior = network(stage.prior) if stage.prior else None
-        drivers = made(suite.drivers_of(stage))
-        return reinforcement_job(output, seed_folder, name, suite, drivers, prior)
+        return reinforcement_job(output, seed_folder, name, suite, drivers(stage), prior)
     assert suite.human is not None
-    start = suite.human_stages[name].fine_tunes
-    if suite.human_stages[name].drivers == "simulated":
-        assert suite.human.simulated is not None
-        drivers = made(suite.drivers_of(suite.human.simulated))
-        return human_job(output, seed_folder, name, suite, None, None, drivers)
-    assert samples is not None
-    started = network(start) if start else None
-    drivers = made(suite.drivers_of(suite.stages[start])) if start else {}
-    return human_job(output, seed_folder, name, suite, samples, started, drivers)
+    human = suite.human.stages[name]
+    start = network(human.fine_tunes) if human.fine_tunes else None
+    if human.drivers == "simulated":
+        among, samples = drivers(suite.human.simulated), None
+    else:
+        among = drivers(suite.stages[human.fine_tunes] if human.fine_tunes else None)
+    return human_job(output, seed_folder, name, suite, samples, start, among)
 
 
 @contextmanager

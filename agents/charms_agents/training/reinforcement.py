@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from charms_agents.training.curve import Point, point_of
 from charms_agents.training.double_dqn import DoubleDQN
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.network import Arrays
+from charms_agents.training.network_file import read_network
 from charms_agents.training.settings import EPISODES_OF_A_SEED, Stage, TrainingSuite
+from charms_agents.training.standardised import unfolded
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.plugins.agent import Agent
 from charms_bench.world.scene import Observations
@@ -22,8 +25,7 @@ class Reinforcement:
     """Learns a stage's network by Double DQN among `drivers`; episodes have successive seeds.
 
     Args:
-        prior: The logits of the stage's prior, from observations in the form that the network
-            takes; None without a prior.
+        prior: The file of the stage's prior; None without a prior.
     """
 
     point = Point
@@ -33,31 +35,25 @@ class Reinforcement:
         suite: TrainingSuite,
         stage: Stage,
         drivers: Mapping[str, Agent],
-        first_seed: int,
-        prior: Sequential | None = None,
+        prior: Path | None,
     ) -> None:
         self._steps, self._curve_steps = stage.steps, suite.curve_steps
         self.curve: list[Point] = []
         """The points so far, one every `curve_steps`."""
         self._ended: list[dict[str, Any]] = []
         reward, h = stage.reward_of(suite.weights[stage.weights]), suite.hyperparameters_of(stage)
-        places, environments = suite.places_of(stage), []
-        for k, (scene, traffic) in enumerate(places):
-            environments.append(
-                HighwayVectorEnv(
-                    scene,
-                    h.scenes // len(places),
-                    traffic,
-                    drivers,
-                    reward,
-                    first_seed + k * (EPISODES_OF_A_SEED // len(places)),
-                    suite.observed,
-                    suite.actions,
-                )
-            )
-        self._episodes = Episodes(environments)
-        count = len(suite.actions)
-        self._agent = DoubleDQN(self._episodes, h, suite.seed, stage.steps, prior, count)
+        places, seed = suite.places_of(stage), suite.first_episode_seed
+        count, apart = h.scenes // len(places), EPISODES_OF_A_SEED // len(places)
+        seen = suite.observed, suite.actions
+        self._episodes = Episodes(
+            [
+                HighwayVectorEnv(scene, count, traffic, drivers, reward, seed + k * apart, *seen)
+                for k, (scene, traffic) in enumerate(places)
+            ]
+        )
+        logits = None if prior is None else unfolded(read_network(prior))
+        how = suite.seed, stage.steps, logits, len(suite.actions)
+        self._agent = DoubleDQN(self._episodes, h, *how)
 
     @property
     def done(self) -> int:

@@ -17,7 +17,7 @@ from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.actions import Actions
 from charms_bench.world.candidate_lanes import TARGET, follower_on, leader_on
 from charms_bench.world.road import distance_along
-from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 Svo = Literal["competitive", "egoistic", "prosocial", "altruistic"]
 SVO_ANGLES_RAD: dict[Svo, float] = {
@@ -95,7 +95,7 @@ class StyleReward:
         egos = simulation.ego_vehicles
         consistent = simulation.has_action[egos] & (simulation.action[egos] == actions)
         others_count = bool(math.sin(self.angle_rad))
-        return Prepared(consistent, affected(simulation.scene, egos, others_count))
+        return Prepared(consistent, affected(simulation.scene, others_count))
 
     def __call__(self, simulation: Simulation, prepared: Prepared) -> Floats:
         """The rewards (B,) of the decisions."""
@@ -142,9 +142,18 @@ def efficiency(scene: Scene) -> Floats:
     return share.clip(0.0, 1.0)
 
 
-def affected(scene: Scene, egos: Vehicles, others_count: bool) -> Affected:
-    """What r_o needs of the scenes before a decision; without expectations if it has no weight."""
-    return Affected(scene.lane[egos], *_expected(scene, others_count))
+@compiled
+def affected(scene: Scene, others_count: bool) -> Affected:
+    """What r_o needs of the scenes before a decision; without followers if it has no weight."""
+    shape = (scene.ego.size, scene.road.lanes)
+    lanes, followers, expected = np.zeros(shape[0], np.int64), np.full(shape, -1), np.zeros(shape)
+    for b in range(shape[0] if others_count else 0):
+        lanes[b] = scene.lane[b, scene.ego[b]]
+        for lane in range(shape[1]):
+            follower = followers[b, lane] = follower_on(b, scene.ego[b], lane, scene)
+            if follower >= 0:
+                expected[b, lane] = expected_acceleration(scene, b, follower, lane)
+    return Affected(lanes, followers, expected)
 
 
 @compiled
@@ -156,8 +165,7 @@ def others(scene: Scene, before: Affected, most_mps2: float) -> Floats:
     The followers are the vehicles behind the ego in its lane and in its target lane; without a
     lane change there is only one. Their expected accelerations before the decision are compared
     with those after the decision interval. The expected acceleration is IDM's, with the ego in its
-    target lane even while it still moves there. So the whole effect of a lane change counts once,
-    when it is decided.
+    target lane even while it still moves there. So a lane change counts once, when it is decided.
     """
     result = np.empty(scene.ego.size)
     for b in range(result.size):
@@ -212,19 +220,6 @@ def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
     wanted = IDM_JAM_DISTANCE_M + max(0.0, speed * IDM_HEADWAY_S + speed * closing / braking)
     gap = max(distance(scene, b, i, leader), MINIMAL_GAP_M)
     return float(IDM_ACCELERATION * (free - (wanted / gap) ** 2))
-
-
-@compiled
-def _expected(scene: Scene, matters: bool) -> tuple[Ints, Floats]:
-    """The followers of the egos (B, L) on each lane, and their accelerations if these matter."""
-    shape = (scene.ego.size, scene.road.lanes)
-    followers, expected = np.full(shape, -1), np.zeros(shape)
-    for b in range(shape[0] if matters else 0):
-        for lane in range(shape[1]):
-            follower = followers[b, lane] = follower_on(b, scene.ego[b], lane, scene)
-            if follower >= 0:
-                expected[b, lane] = expected_acceleration(scene, b, follower, lane)
-    return followers, expected
 
 
 @compiled

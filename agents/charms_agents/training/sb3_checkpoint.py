@@ -10,6 +10,7 @@ import re
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 from zipfile import ZipFile, ZipInfo, is_zipfile
 
 import torch
@@ -91,56 +92,47 @@ def _check_size(name: str, members: list[ZipInfo], limit: int) -> None:
             )
 
 
-def activation_of(data: bytes, usual: str) -> str | None:
-    """The activation that the text of `data` names, or else `usual`; None if it cannot be read."""
+def said_in(data: bytes) -> Any:
+    """What the JSON of `data` says; None if it cannot be read."""
     try:
-        said = json.loads(data)["policy_kwargs"].get("activation_fn")
-    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return json.loads(data)
+    except (ValueError, RecursionError):
         return None
-    if said is None:
-        return usual
-    match = _ACTIVATION.fullmatch(str(said))
-    if match is None or match[1] not in KINDS:
-        raise Refusal(f"has {str(said)[:80]} between its layers; expected {', '.join(KINDS)}")
-    return match[1]
 
 
-def check_features_extractor(data: bytes) -> None:
-    """Refuses a features extractor of one's own, which need not have weights."""
-    try:
-        said = json.loads(data)["policy_kwargs"].get("features_extractor_class")
-    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
-        return
-    if said is not None and "stable_baselines3.common.torch_layers.Flatten" not in str(said):
-        raise Refusal(
-            f"has the features extractor {str(said)[:80]}; expected MlpPolicy without one"
-        )
+def within(said: Any, *keys: str) -> Any:
+    """What is said under nested keys; None if nothing is."""
+    for key in keys:
+        said = said.get(key) if isinstance(said, dict) else None
+    return said
 
 
-def check_squashed(data: bytes) -> None:
-    """Refuses a PPO or A2C whose actions go through a tanh."""
-    try:
-        squashes = json.loads(data)["policy_kwargs"].get("squash_output")
-    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
-        return
-    if squashes:
+def activation_of(said: Any, usual: str) -> str | None:
+    """The activation that `data` names, or else `usual`; None if it cannot be read.
+
+    Refuses a features extractor of one's own, too, which need not have weights.
+    """
+    if not isinstance(options := within(said, "policy_kwargs"), dict):
+        return None
+    if (named := options.get("activation_fn")) is not None:
+        match = _ACTIVATION.fullmatch(str(named))
+        if match is None or match[1] not in KINDS:
+            raise Refusal(f"has {str(named)[:80]} between its layers; expected {', '.join(KINDS)}")
+        usual = match[1]
+    own = options.get("features_extractor_class")
+    if own is not None and "stable_baselines3.common.torch_layers.Flatten" not in str(own):
+        raise Refusal(f"has the features extractor {str(own)[:80]}; expected MlpPolicy without one")
+    return usual
+
+
+def check_continuous(said: Any) -> None:
+    """Refuses continuous actions that go through a tanh, or are not from -1 to 1."""
+    if within(said, "policy_kwargs", "squash_output"):
         raise Refusal("squashes its output; expected a PPO or A2C without squash_output")
-
-
-def is_maskable(data: bytes) -> bool:
-    """Whether `data` names a policy of sb3-contrib's `MaskablePPO`."""
+    space = within(said, "action_space")
     try:
-        return ".maskable." in str(json.loads(data)["policy_class"]["__module__"])
-    except (ValueError, RecursionError, LookupError, TypeError):
-        return False
-
-
-def check_action_space(data: bytes) -> None:
-    """Refuses an action space that `data` describes as other than from -1 to 1."""
-    try:
-        space = json.loads(data)["action_space"]
         bounds = [[float(each) for each in space[key].strip("[]").split()] for key in _BOUNDS]
-    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+    except (ValueError, LookupError, TypeError, AttributeError):
         return
     size = len(CONTROLS)
     if bounds != [[-1.0] * size, [1.0] * size]:

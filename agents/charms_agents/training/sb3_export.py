@@ -1,6 +1,7 @@
 """Exports a Stable-Baselines3 checkpoint to ONNX, without running any code from it."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,18 +12,16 @@ from torch.nn import LSTM
 
 from charms_agents.training.network import Layers, layers_of, network_of
 from charms_agents.training.network_file import KINDS, export
-from charms_agents.training.onnx_input import Given
 from charms_agents.training.sb3_checkpoint import (
     WEIGHTS,
     Refusal,
     Tensors,
     activation_of,
-    check_action_space,
-    check_features_extractor,
-    check_squashed,
-    is_maskable,
+    check_continuous,
     read_checkpoint,
+    said_in,
     tensors_of,
+    within,
 )
 from charms_agents.training.sb3_space import actions_of, input_of, read_statistics, trained_on
 from charms_bench.errors import ModelError
@@ -45,7 +44,6 @@ CHECKED_SEEDS = range(4)
 """Seeds of the example scenes on whose observations the two networks are compared."""
 _Q_LAYER = re.compile(r"q_net\.q_net\.(\d{1,3})\.(weight|bias)")
 _POLICY_LAYER = re.compile(r"mlp_extractor\.policy_net\.(\d{1,3})\.(weight|bias)")
-_LOGITS = re.compile(r"action_net\.(weight|bias)")
 _OF_POLICY = re.compile(
     r"(mlp_extractor\.(policy|value)_net\.\d{1,3}|action_net|value_net)\.(weight|bias)|log_std"
 )
@@ -54,7 +52,6 @@ _OF_RECURRENT = re.compile(
     r"lstm_(actor|critic)\.(weight|bias)_[ih]h_l\d{1,3}|critic\.(weight|bias)"
 )
 _LATENT_LAYER = re.compile(r"actor\.latent_pi\.(\d{1,3})\.(weight|bias)")
-_MEAN = re.compile(r"actor\.mu\.(weight|bias)")
 _ACTOR_LAYER = re.compile(r"actor\.mu\.(\d{1,3})\.(weight|bias)")
 Numbered = dict[int, Tensors]
 """The weight and the bias of each layer, by its position in the network."""
@@ -112,8 +109,7 @@ def export_zip(
         observations and ties from `export`.
 
     Raises:
-        ModelError: The checkpoint is not a zip of one of these with a suitable MLP; nothing is
-            written.
+        ModelError: It is not a zip of one of these with a suitable MLP; nothing is written.
         RunFolderError: The output cannot be written.
     """
     facts = {key: value.encode(errors="replace").decode() for key, value in facts.items()}
@@ -122,36 +118,34 @@ def export_zip(
         tensors = tensors_of(weights)
         found = _deciding(tensors)
         _check_positions(found.layers)
-        said = activation_of(data, found.activation)
-        check_features_extractor(data)
+        said = said_in(data)
+        named = activation_of(said, found.activation)
         if found.actions == "continuous":
-            check_action_space(data)
-            check_squashed(data)
+            check_continuous(said)
         if stochastic and (not found.samples or found.actions == "continuous"):
             raise Refusal(
                 "does not draw its actions; --stochastic is for a PPO or A2C with meta-actions"
             )
-        trained, width = trained_on(data), _width(tensors, found)
+        trained, width = trained_on(said), _width(tensors, found)
         if found.actions == "meta":
             found = found._replace(actions=actions or actions_of(trained))
         if normalise == NOT_OBSERVATIONS:
             trained, normalise = trained._replace(has_original=False), None
         seen = input_of(trained, observation, width, normalise is not None)
-        given = Given(seen.history, seen.repeats)
+        given = seen.given
         if normalise is not None:
-            statistics = read_statistics(normalise, trained, seen)
-            given = Given(seen.history, seen.repeats, *statistics)
+            given = replace(given, **read_statistics(normalise, trained, seen.order))
         lstm = _lstm(tensors, width, seen.order)
         source = "the outputs of the LSTM" if lstm else "the numbers that it is given"
         layers = _layers(found, lstm.hidden_size if lstm else width, source)
         if not lstm:
             weight, bias = layers[0]
             layers[0] = np.ascontiguousarray(weight[:, seen.order]), bias
-        network = network_of(layers, KINDS[said or found.activation], found.squashed)
+        network = network_of(layers, KINDS[named or found.activation], found.squashed)
     except Refusal as error:
         raise ModelError(f"{checkpoint}: {error}") from error
     name = checkpoint.name.encode(errors="replace").decode()
-    activation = said or f"{found.activation} (assumed)"
+    activation = named or f"{found.activation} (assumed)"
     observation = seen.observation
     is_assumed = isinstance(observation, Kinematics) and not trained.where
     provenance = {
@@ -160,7 +154,9 @@ def export_zip(
         "activation": activation,
         **({"trained_in": NOT_STATED} if is_assumed else {}),
     }
-    masked = is_maskable(data) and isinstance(observation, Neighbours)
+    # A policy of sb3-contrib's `MaskablePPO`.
+    masked = ".maskable." in str(within(said, "policy_class", "__module__"))
+    masked &= isinstance(observation, Neighbours)
     asked = observation.model_copy(update={"action_mask": True}) if masked else observation
     scenes = np.concatenate([_seen(asked, seed) for seed in CHECKED_SEEDS])
     if given.history > 1:
@@ -170,15 +166,16 @@ def export_zip(
     checked = export(network, output, facts, scenes, *how)
     hidden = [lstm.hidden_size] * lstm.num_layers if lstm else []
     sizes = [width, *hidden, *(bias.size for _, bias in layers_of(network))]
-    found_facts = {
+    return {
+        "sizes": sizes,
+        "activation": activation,
+        "sha256": content_sha256,
         "observation": observation.name,
         "decision_hz": float(facts["decision_hz"]),
         "history": given.history,
         "trained_in": NOT_STATED if is_assumed else trained.where.get("environment"),
+        **checked,
     }
-    return {
-        "sizes": sizes, "activation": activation, "sha256": content_sha256, **found_facts, **checked
-    }  # fmt: skip
 
 
 def _seen(observation: Neighbours | Kinematics, seed: int) -> Observations:
@@ -209,35 +206,30 @@ def _deciding(tensors: Tensors) -> _Deciding:
         return _Deciding(q_network, "ReLU", "meta")
     if any(name.startswith("actor.") for name in tensors):
         return _Deciding(_actor(tensors), "ReLU", "continuous", squashed=True)
-    logits = {match[1]: tensors[name] for name in tensors if (match := _LOGITS.fullmatch(name))}
-    policy = _matching(_POLICY_LAYER, tensors)
+    policy = _ending(_POLICY_LAYER, "action_net", tensors)
     other = [name for name in tensors if not _OF_POLICY.fullmatch(name)]
     if _matching(_LSTM_LAYER, tensors):
         other = [name for name in other if not _OF_RECURRENT.fullmatch(name)]
-    if not logits or other:
+    if not policy or other:
         found = ", ".join(other[:4]) or ", ".join(list(tensors)[:4]) or "no tensors"
         raise Refusal(
             f"expected the Q-network of a DQN, the actor of a SAC or TD3, or only the policy and "
             f"value networks of a PPO; {WEIGHTS} holds: {found}"
         )
-    policy[max(policy, default=-2) + 2] = logits
     kind: ActionKind = "continuous" if "log_std" in tensors else "meta"
     return _Deciding(policy, "Tanh", kind, samples=True)
 
 
 def _actor(tensors: Tensors) -> Numbered:
     """The layers of the actor of a SAC, TD3 or DDPG by position, up to its last tanh."""
-    mean = {match[1]: tensors[name] for name in tensors if (match := _MEAN.fullmatch(name))}
-    latent = _matching(_LATENT_LAYER, tensors)
+    latent = _ending(_LATENT_LAYER, "actor.mu", tensors)
     actor = _matching(_ACTOR_LAYER, tensors)
     if "actor.log_std" in tensors:
         raise Refusal("has state-dependent exploration; expected a SAC without use_sde")
-    if bool(mean) == bool(actor):
+    if bool(latent) == bool(actor):
         found = ", ".join([name for name in tensors if name.startswith("actor.")][:4])
         raise Refusal(f"expected the actor of a SAC or TD3; {WEIGHTS} holds: {found}")
-    if mean:
-        latent[max(latent, default=-2) + 2] = mean
-    return latent if mean else actor
+    return latent or actor
 
 
 def _matching(pattern: re.Pattern[str], tensors: Tensors) -> Numbered:
@@ -246,6 +238,14 @@ def _matching(pattern: re.Pattern[str], tensors: Tensors) -> Numbered:
         if match := pattern.fullmatch(name):
             found.setdefault(int(match[1]), {})[match[2]] = tensor
     return found
+
+
+def _ending(pattern: re.Pattern[str], last: str, tensors: Tensors) -> Numbered:
+    """The layers that match, and after them the layer called `last`; nothing without that one."""
+    names = {part: f"{last}.{part}" for part in ("weight", "bias")}
+    own = {part: tensors[name] for part, name in names.items() if name in tensors}
+    layers = _matching(pattern, tensors)
+    return {**layers, max(layers, default=-2) + 2: own} if own else {}
 
 
 def _lstm(tensors: Tensors, width: int, order: NDArray[np.int64]) -> LSTM | None:

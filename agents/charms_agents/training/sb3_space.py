@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_agents.training.sb3_checkpoint import Refusal
+from charms_agents.training.onnx_input import Given
+from charms_agents.training.sb3_checkpoint import Refusal, within
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import json_of, read_limited
 from charms_bench.world.action_texts import actions_described
@@ -67,29 +68,18 @@ class Input(NamedTuple):
 
     observation: Neighbours | Kinematics
     decision_hz: float
-    history: int
+    given: Given
+    """What the network is given of it, without a normalisation."""
     order: NDArray[np.int64]
     """Where each number of (history, rows, columns) is in the input of the checkpoint's network."""
-    repeats: bool
-    """Whether the first observation of an episode also stands for the time before it, as with
-    Gymnasium's `FrameStackObservation`; otherwise, zeros do."""
 
 
-class Statistics(NamedTuple):
-    """What a `VecNormalize` does to observations; see `Given`."""
-
-    mean: NDArray[np.float64]
-    deviation: NDArray[np.float64]
-    clip: float
-
-
-def trained_on(data: bytes) -> Trained:
-    """What `data` says of the observations."""
+def trained_on(said: Any) -> Trained:
+    """What the JSON of `data` says of the observations."""
+    space = within(said, "observation_space")
     try:
-        said = json.loads(data)
-        space = said["observation_space"]
         shape = tuple(map(int, space["_shape"]))
-    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+    except (ValueError, LookupError, TypeError):
         return Trained()
     where = space.get(TRAINED_IN)
     return Trained(
@@ -186,7 +176,8 @@ def input_of(
             f"in Python with {_SAVE}, and give --normalise norm.npz; --normalise none if it "
             "normalised rewards only"
         )
-    return Input(observation, hz or DECISION_HZ[observation.name], frames, order, repeats)
+    hz = hz or DECISION_HZ[observation.name]
+    return Input(observation, hz, Given(frames, repeats), order)
 
 
 def _is_normalised(trained: Trained, observation: Neighbours | Kinematics, place: int) -> bool:
@@ -267,8 +258,10 @@ def _words(observation: Neighbours | Kinematics | None) -> str:
     return json.dumps({"type": observation.name, **options}) if options else observation.name
 
 
-def read_statistics(path: Path, trained: Trained, seen: Input) -> Statistics:
-    """The statistics in a NumPy archive, in the order of the harness; no pickle is loaded.
+def read_statistics(path: Path, trained: Trained, order: NDArray[np.int64]) -> dict[str, Any]:
+    """The statistics of a `VecNormalize` in a NumPy archive, as fields of `Given`.
+
+    They are in the order of the harness. No pickle is loaded.
 
     Raises:
         Refusal: It cannot be read, or does not fit.
@@ -290,11 +283,11 @@ def read_statistics(path: Path, trained: Trained, seen: Input) -> Statistics:
     if missing := {"mean", "var", "clip"} - set(arrays):
         raise Refusal(f"{path} has no {min(missing)}; {wanted}")
     mean, var, clip = arrays["mean"], arrays["var"], arrays["clip"]
-    if mean.size != seen.order.size or var.shape != mean.shape or clip.size != 1:
-        shape = trained.shape or (seen.order.size,)
+    if mean.size != order.size or var.shape != mean.shape or clip.size != 1:
+        shape = trained.shape or (order.size,)
         raise Refusal(f"{path} has mean {mean.shape} and var {var.shape}; expected {shape}")
     variance = var + arrays.get("epsilon", np.array(1e-8)).item()
     if not (np.isfinite(mean).all() and (variance > 0).all() and clip.item() > 0):
         raise Refusal(f"{path}: expected finite means, and variances and a clip above 0")
-    deviation = np.sqrt(variance)
-    return Statistics(mean.ravel()[seen.order], deviation.ravel()[seen.order], clip.item())
+    mean, deviation = mean.ravel()[order], np.sqrt(variance).ravel()[order]
+    return {"mean": mean, "deviation": deviation, "clip": clip.item()}

@@ -30,8 +30,7 @@ def run_stages(
 ) -> dict[str, Job]:
     """Trains the stages that are not finished; returns all jobs, by stage.
 
-    Stages are trained in worker processes, or in this process if only one can be trained at a
-    time.
+    Stages are trained in worker processes; in this one if only one can be trained at a time.
 
     Args:
         needs: All stages, and the stages that each of them needs.

@@ -4,12 +4,7 @@ import math
 from graphlib import TopologicalSorter
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from charms_agents.human.samples import Interface, SampleSettings
 from charms_agents.human.soft_labels import columns_of
@@ -51,8 +46,7 @@ class Condition(FrozenModel):
     duration_s: Positive | None = None
     profile: ProfileLike | None = None
     traffic: TrafficSpec | None = None
-    """A scenario's `points` are `random`, because training episodes have other seeds than the
-    episodes of evaluations."""
+    """A scenario's `points` are `random`, because trainings have other seeds than evaluations."""
 
     @model_validator(mode="after")
     def _points_are_drawn(self) -> "Condition":
@@ -84,8 +78,7 @@ class Stage(FrozenModel):
     variant: Name | None = None
     """A name in the suite's `variants`; by default, its `hyperparameters` apply."""
     conditions: Names = ()
-    """Names in the suite's `conditions`; among all of these, the environments are divided
-    equally."""
+    """Names in the suite's `conditions`, among which environments are divided equally."""
     prior: Name | None = None
     """The stage under `human` whose network is the prior that regularises this one."""
     reward: RewardScales | None = None

@@ -48,15 +48,8 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
     life = _Life(job, learner, tell, stop)
     life.run()
     facts = {"stage": job.name, "style": job.style, "decision_hz": f"{job.decision_hz:g}"}
-    checked = export(
-        learner.network,
-        network,
-        facts,
-        learner.observations,
-        job.suite.observed,
-        stochastic=job.draws,
-        actions=job.actions,
-    )
+    given = network, facts, learner.observations, job.suite.observed
+    checked = export(learner.network, *given, stochastic=job.draws, actions=job.actions)
     manifest = {
         **job.inputs,
         "key": job.key,

@@ -1,12 +1,13 @@
 """Reads training suites from YAML, and names what is wrong in them with its place."""
 
+from collections.abc import Collection
 from graphlib import CycleError
 from pathlib import Path
 
 import numpy as np
 
 from charms_agents.human.interface import DECISION_HZ, SIMULATION_HZ
-from charms_agents.training.settings import Condition, SimulatedDrivers, Stage, TrainingSuite
+from charms_agents.training.settings import Condition, TrainingSuite
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
@@ -34,15 +35,15 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
     suite = document.validate(TrainingSuite)
     for name, stage in suite.stages.items():
         at = ("stages", name)
-        if stage.variant is not None and stage.variant not in suite.variants:
-            there = f"this file has: {', '.join(suite.variants) or 'none'}"
-            raise document.error((*at, "variant"), f"no variant named '{stage.variant}'; {there}")
+        if stage.variant is not None:
+            _check_name(document, (*at, "variant"), "variant", stage.variant, suite.variants)
         h = suite.hyperparameters_of(stage)
         counts = [(stage.steps, (*at, "steps")), (suite.curve_steps, ("curve_steps",))]
         for steps, where in counts:
             if steps % h.scenes:
                 raise document.error(where, f"{steps} is not a multiple of scenes {h.scenes}")
-        _check_names(document, suite, at, stage)
+        for each in stage.conditions:
+            _check_name(document, (*at, "conditions"), "conditions", each, suite.conditions)
         if h.scenes % (count := len(suite.conditions_of(stage))):
             what = f"scenes {h.scenes} is not a multiple of {count} conditions"
             raise document.error((*at, "conditions"), what)
@@ -53,9 +54,7 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
             what = f"{stage.reward.desired_speed_mps:g}; expected more than {slowest:g} m/s"
             where = (*at, "reward", "desired_speed_mps")
             raise document.error(where, f"{what}, the lowest target speed of the profile")
-        if stage.weights not in suite.weights:
-            there = f"this file has: {', '.join(suite.weights) or 'none'}"
-            raise document.error((*at, "weights"), f"no weights named '{stage.weights}'; {there}")
+        _check_name(document, (*at, "weights"), "weights", stage.weights, suite.weights)
         _check_conditions(document, suite, name)
         try:
             for driver in suite.drivers_of(stage):
@@ -72,10 +71,9 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         place = ("human", "stages", name)
         if name in suite.stages:
             raise document.error(place, f"another stage is also named '{name}'")
-        if human.fine_tunes is not None and human.fine_tunes not in suite.stages:
-            there = f"this file has: {', '.join(suite.stages)}"
-            what = f"no stage named '{human.fine_tunes}' under stages; {there}"
-            raise document.error((*place, "fine_tunes"), what)
+        if human.fine_tunes is not None:
+            key, under = (*place, "fine_tunes"), " under stages"
+            _check_name(document, key, "stage", human.fine_tunes, suite.stages, under)
         if human.drivers == "simulated":
             _check_simulated(document, suite, name)
     try:
@@ -86,15 +84,13 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
     return suite
 
 
-def _check_names(
-    document: Document, suite: TrainingSuite, at: Location, stage: Stage | SimulatedDrivers
+def _check_name(
+    document: Document, at: Location, kind: str, name: str, known: Collection[str], under: str = ""
 ) -> None:
-    """Refuses conditions that the suite does not have."""
-    for name in stage.conditions:
-        if name not in suite.conditions:
-            there = f"this file has: {', '.join(suite.conditions) or 'none'}"
-            what = f"no conditions named '{name}'; {there}"
-            raise document.error((*at, "conditions"), what)
+    """Refuses a name that the suite does not have."""
+    if name not in known:
+        there = f"this file has: {', '.join(known) or 'none'}"
+        raise document.error(at, f"no {kind} named '{name}'{under}; {there}")
 
 
 def _check_conditions(document: Document, suite: TrainingSuite, name: str) -> None:
@@ -128,9 +124,8 @@ def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:
     """Refuses a stage whose prior cannot regularise it."""
     stage = suite.stages[name]
     at, h = ("stages", name, "prior"), suite.hyperparameters_of(stage)
-    if (prior := suite.human_stages.get(str(stage.prior))) is None:
-        there = f"this file has: {', '.join(suite.human_stages) or 'none'}"
-        raise document.error(at, f"no stage named '{stage.prior}' under human.stages; {there}")
+    _check_name(document, at, "stage", str(stage.prior), suite.human_stages, " under human.stages")
+    prior = suite.human_stages[str(stage.prior)]
     if not h.prior_weight or not h.standardised:
         raise document.error(at, "needs hyperparameters with a prior_weight, and standardised")
     layers = prior.hidden_layers or suite.hyperparameters.hidden_layers
@@ -148,7 +143,8 @@ def _check_simulated(document: Document, suite: TrainingSuite, name: str) -> Non
     if (simulated := suite.human.simulated) is None:
         raise document.error(("human",), "a stage learns from `simulated` drivers: none given")
     at = ("human", "simulated")
-    _check_names(document, suite, at, simulated)
+    for each in simulated.conditions:
+        _check_name(document, (*at, "conditions"), "conditions", each, suite.conditions)
     rates = simulated.scene.simulation_hz, simulated.scene.decision_hz
     if rates != (SIMULATION_HZ, DECISION_HZ):
         what = f"expected simulation_hz {SIMULATION_HZ} and decision_hz {DECISION_HZ}"

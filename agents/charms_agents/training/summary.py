@@ -65,29 +65,23 @@ SCHEMA = pl.Schema(
 """The columns of `stages.csv`; those that do not apply to a stage are null."""
 
 
-def write_summary(output: Path, jobs: Iterable[Job]) -> pl.DataFrame:
-    """Writes `stages.csv`, one row per stage, and `columns.json`; returns the stages."""
+def write_summary(output: Path, jobs: Iterable[Job]) -> None:
+    """Writes `stages.csv`, one row per stage, and `columns.json`."""
     table = pl.DataFrame([_row(job) for job in jobs], schema=SCHEMA)
     columns = COLUMNS.model_dump_json(indent=2, exclude_defaults=True)
     for name, text in (("stages.csv", table.write_csv()), ("columns.json", columns)):
         path = output / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             write_bytes(path, text.encode())
-    return table
 
 
 def _row(job: Job) -> dict[str, Any]:
     made = json.loads(job.file(".json").read_text(encoding="utf-8"))
     row = {"stage": job.title, "wall_s": made["wall_s"], "cpu_s": made.get("cpu_s")}
     if "supervised" in made:
-        before, after = made["before"], made["after"]
-        return row | {
-            "style": made["style"],
-            "agreement_before": before["agreement"],
-            "agreement": after["agreement"],
-            "log_likelihood_before": before["log_likelihood"],
-            "log_likelihood": after["log_likelihood"],
-        }
+        names, points = ("agreement", "log_likelihood"), (("_before", "before"), ("", "after"))
+        measured = {f"{name}{end}": made[when][name] for name in names for end, when in points}
+        return row | {"style": made["style"], **measured}
     last = made["curve"].get("last", {})
     return row | {
         "style": f"{made['style']['weights']['name']}, {made['style']['svo']}",

@@ -9,6 +9,7 @@ would be infinite and would leave nothing to learn from.
 """
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import asdict
@@ -17,6 +18,8 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import special
+from scipy.optimize import minimize_scalar
 from torch import Tensor
 from torch.nn import Sequential
 from torch.nn.functional import cross_entropy, log_softmax
@@ -26,11 +29,13 @@ from charms_agents.training.curve import Epoch
 from charms_agents.training.hyperparameters import Supervised
 from charms_agents.training.network import Arrays, load_state, state_arrays
 from charms_agents.training.standardised import folded, standardise, unfolded
-from charms_agents.training.temperature import fitted_temperature, log_likelihood
 from charms_bench.world.scene import Observations
 
 REHEARSED = 1024
 """Observations of the own driving in each step; fewer leave rare situations to chance."""
+COLDEST, HOTTEST = 1e-3, 1e3
+"""The limits of a fitted temperature; a network that predicts worse than chance is given HOTTEST,
+at which all actions are equally probable."""
 
 
 class Fit:
@@ -193,3 +198,25 @@ def agreement(values: NDArray[np.float32], labels: NDArray[np.float32]) -> float
     """
     taken = labels[np.arange(len(labels)), values.argmax(axis=1)]
     return float((taken == labels.max(axis=1)).mean())
+
+
+def log_likelihood(
+    values: NDArray[np.float32], labels: NDArray[np.float32], temperature: float
+) -> float:
+    """Mean over rows of the sum of y log softmax(Q / T), for values and labels (M, A)."""
+    log_p = special.log_softmax(values.astype(np.float64) / temperature, axis=1)
+    return float((labels * log_p).sum(axis=1).mean())
+
+
+def fitted_temperature(values: NDArray[np.float32], labels: NDArray[np.float32]) -> float:
+    """The temperature at which the labels (M, A) are the most likely, given the values (M, A).
+
+    The log-likelihood is concave in 1 / T, so its only maximum over log T is found.
+    """
+    found = minimize_scalar(
+        lambda log_t: -log_likelihood(values, labels, math.exp(log_t)),
+        bounds=(math.log(COLDEST), math.log(HOTTEST)),
+        method="bounded",
+        options={"xatol": 1e-6},
+    )
+    return math.exp(found.x)
