@@ -127,6 +127,8 @@ nobody comes or goes, no `traffic_time_s`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
 OF_ROADS = tuple(name for name in EPISODE if name.startswith("entry_"))
 TIME_OF_TRAFFIC = "traffic_time_s"
+OPTIONAL = (TIME_OF_TRAFFIC, *OF_ROADS)
+"""The columns that not all files have."""
 
 COUNT: Mapping[str, Column] = {
     "episode": _SEED,
@@ -205,22 +207,10 @@ SCHEMAS = {
     "episodes": EPISODE_SCHEMA,
 }
 """The kinds of rows that a shard has."""
-LENGTHS = ("length", "leader_length", "follower_length")
-"""The columns that step rows of earlier versions lack: all vehicles had the profile's length."""
 NO_DRIVERS = DRIVER_SCHEMA.to_frame()
 """No driver rows."""
 DRIVER_KEYS = ("episode", "agent", "is_ego")
 DRIVER_SUMS = tuple(name for name in DRIVER if name not in DRIVER_KEYS)
-
-
-def with_lengths(steps: pl.DataFrame, standard_m: float) -> pl.DataFrame:
-    """Step rows in which a vehicle without a recorded length has the profile's."""
-    own, leader, follower = (pl.col(name).fill_null(standard_m) for name in LENGTHS)
-    return steps.with_columns(
-        own,
-        pl.when(pl.col("leader_distance").is_not_null()).then(leader).alias("leader_length"),
-        pl.when(pl.col("follower_distance").is_not_null()).then(follower).alias("follower_length"),
-    )
 
 
 def _record(schema: pl.Schema, names: Iterable[str]) -> np.dtype[np.void]:
