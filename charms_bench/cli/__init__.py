@@ -8,7 +8,6 @@ import os
 import signal
 import sys
 import traceback
-import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from charms_bench.cli.terminal import (
     err,
     say,
 )
-from charms_bench.errors import CharmsBenchError, InputError, RenamedKeyWarning, named
+from charms_bench.errors import CharmsBenchError, InputError, named
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.streams import write_reliably
 
@@ -77,24 +76,6 @@ def _use_own_style() -> None:
         matplotlib.rcdefaults()
 
 
-def _show_hints_alone() -> None:
-    """Hints about a user's file are printed without the line of code that gives them."""
-    formatted = warnings.formatwarning
-
-    def hint(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        line: str | None = None,
-    ) -> str:
-        if issubclass(category, RenamedKeyWarning):
-            return f"{message}\n"
-        return formatted(message, category, filename, lineno, line)
-
-    warnings.formatwarning = hint
-
-
 def _arguments(words: list[str]) -> list[str]:
     """The arguments with the options `ANYWHERE` before the name of the command."""
     end = words.index("--") if "--" in words else len(words)
@@ -135,7 +116,6 @@ def main() -> None:
     try:
         _check_environment()
         _use_own_style()
-        _show_hints_alone()
         try:
             with ended_by_second_signal():
                 app(_arguments(sys.argv[1:]))

@@ -1,7 +1,6 @@
 """Reads YAML files from users into validated models; errors name file, line and field."""
 
 import re
-import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -9,7 +8,7 @@ from typing import Any, ClassVar, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from charms_bench.errors import InputError, RenamedKeyWarning, SuiteError, first_problem
+from charms_bench.errors import InputError, SuiteError, first_problem
 from charms_bench.foundation.files import absolute, read_limited
 from charms_bench.runs.packaged import suite_file
 
@@ -52,7 +51,6 @@ class Document:
     def __init__(self, path: Path) -> None:
         path = suite_file(path)
         self.path, self.folder = path, absolute(path).parent
-        self._renamed: dict[str, str] = {}
         try:
             self._root, self.data = _parsed(read_limited(path, SIZE_LIMIT_BYTES).decode())
         except OSError as error:
@@ -72,25 +70,16 @@ class Document:
 
     def validate(self, model: type[M]) -> M:
         """Returns the document as a model; raises a `SuiteError` that names the first problem."""
-        context = {"folder": self.folder, "renamed": self._renamed}
         try:
-            found = model.model_validate(self.data, context=context)
+            return model.model_validate(self.data, context={"folder": self.folder})
         except ValidationError as error:
             raise self.error(*first_problem(error)) from error
-        for new, old in self._renamed.items():
-            said = self.error(self.place_of(old, ()), f"this key is now called '{new}'")
-            warnings.warn(str(said), RenamedKeyWarning, stacklevel=2)
-        return found
-
-    def key(self, name: str) -> str:
-        """Returns the name that a key has in this document: its own, or that of before."""
-        return self._renamed.get(name, name)
 
     def error(self, location: Location, what: str) -> SuiteError:
         """Returns the error for what is wrong at a location."""
         node, line, named = self._root, 0, ""
         for part in location:
-            child = _child(node, part) or _child(node, self.key(str(part)))
+            child = _child(node, part)
             if child is None:
                 # A missing key, or the name that pydantic gives to a variant of a union.
                 if isinstance(part, str) and isinstance(node, yaml.MappingNode):
@@ -107,7 +96,7 @@ class Document:
         """
         value = self.data
         for part in within:
-            value = value[self.key(part) if isinstance(part, str) else part]
+            value = value[part]
         return (*within, *next(_places(value, text), ()))
 
     def _at(self, line: int, what: str) -> SuiteError:
