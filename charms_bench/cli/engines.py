@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -12,9 +12,10 @@ from charms_bench.cli.terminal import (
     Json,
     Workers,
     app,
+    drawable,
+    end_with_json,
     err,
     interruptible,
-    print_json,
     print_records,
     say,
 )
@@ -67,7 +68,6 @@ def verify(
         if suite is not None or continuous:
             raise InputError("--road excludes --suite and --continuous")
         _verify_road(_known(road), episodes or 20, seed, starts, workers, as_json)
-        return
     if starts:
         raise InputError("--starts needs --road")
     if suite is None:
@@ -84,36 +84,30 @@ def verify(
     with progress("episodes", count * len(cases)) as bar:
         results = verification.verify(cases, count, seed, workers, lambda done: bar("", done))
     differing = sum(len(result.differences) for result in results)
+    records = [{**asdict(each), "case": each.case.title} for each in results]
+    code = FAIL if differing else 0
     if as_json:
-        print_json([{**asdict(result), "case": result.case.title} for result in results])
-    else:
-        forms = dict.fromkeys(("episodes", "steps", "lane_changes", "crashed"), ",.0f")
-        forms |= {"largest": ".1e", "differing": ".0f"}
-        records = [
-            {**vars(r), "case": r.case.title, "differing": len(r.differences)} for r in results
-        ]
-        print_records("case", records, forms)
-        for r in results:
-            for d in r.differences:
-                say(
-                    f"{r.case.title}: episode {d.episode}, simulation step {d.step}, vehicle "
-                    f"{d.vehicle}: {d.quantity} {d.batched!r} (batched), {d.highway_env!r} "
-                    "(highway-env)"
-                )
-        total = sum(r.episodes for r in results)
-        verdict = (
-            f"{differing} of {counted(total, 'episode')} differ"
-            if differing
-            else "the engines agree"
-        )
-        say(f"{counted(total, 'episode')}: {verdict}.")
-    if differing:
-        raise typer.Exit(FAIL)
+        end_with_json(records, code)
+    forms = dict.fromkeys(("episodes", "steps", "lane_changes", "crashed"), ",.0f")
+    forms |= {"largest": ".1e", "differing": ".0f"}
+    counts = [each | {"differing": len(each["differences"])} for each in records]
+    print_records("case", counts, forms)
+    for r in results:
+        for d in r.differences:
+            say(
+                f"{r.case.title}: episode {d.episode}, simulation step {d.step}, vehicle "
+                f"{d.vehicle}: {d.quantity} {d.batched!r} (batched), {d.highway_env!r} "
+                "(highway-env)"
+            )
+    total = counted(sum(r.episodes for r in results), "episode")
+    verdict = f"{differing} of {total} differ" if differing else "the engines agree"
+    say(f"{total}: {verdict}.")
+    raise typer.Exit(code)
 
 
 def _verify_road(
     road: str, episodes: int, seed: int, starts: bool, workers: int | None, as_json: bool
-) -> None:
+) -> NoReturn:
     from charms_bench.report.progress import progress
     from charms_bench.testing.road_parity import MOST_DECISIONS, verify_road
 
@@ -122,14 +116,15 @@ def _verify_road(
         found = verify_road(
             road, episodes, seed, workers, lambda done: bar("", done), decisions=decisions
         )
-    record = {**asdict(found), "differing": len(found.differing)}
+    records = [{**asdict(found), "differing": len(found.differing)}]
+    code = FAIL if found.differing else 0
+    if as_json:
+        end_with_json(records, code)
     forms = dict.fromkeys(("episodes", "decisions", "crashed", "differing"), ",.0f")
-    forms |= {"largest": ".1e", "largest_at_start": ".1e"}
-    print_records("name", [record], forms, as_json)
-    for each in () if as_json else found.differing:
+    print_records("name", records, forms | {"largest": ".1e", "largest_at_start": ".1e"})
+    for each in found.differing:
         say(each)
-    if found.differing:
-        raise typer.Exit(FAIL)
+    raise typer.Exit(code)
 
 
 def _known(road: str) -> str:
@@ -188,8 +183,9 @@ def bench(
     scale: Annotated[
         Path | None,
         typer.Option(
+            callback=drawable,
             help="Measure the compiled engine with 1 to all cores, 21 to 2,000 vehicles and 1 to "
-            "100,000 scenes instead, and draw the speeds to this file (.pdf, .png or .svg)."
+            "100,000 scenes instead, and draw the speeds to this file (.pdf, .png or .svg).",
         ),
     ] = None,
     as_json: Json = False,
@@ -224,40 +220,29 @@ def bench(
     forms = {"vehicles": ",.0f", "threads": ".0f", "steps_per_s": ",.0f"}
     forms |= {"vehicle_updates_per_s": ",.0f", "ns_per_vehicle_step": ",.1f"}
     if scale is not None:
-        from charms_bench.foundation.files import absolute
-        from charms_bench.report.figures.drawing import check_figure, save
+        from charms_bench.report.figures.drawing import save
         from charms_bench.report.figures.scale import draw_scale
 
-        check_figure(scale)
-        figure = absolute(scale)
         records = [each.record() for each in benchmark.scale(seconds, rounds, tell)]
-        save(draw_scale(records), figure)
+        save(draw_scale(records), scale)
         print_records("name", records, {"scenes": ",.0f", **forms}, as_json)
         return
     results = benchmark.bench(vehicles, traffic, seconds, rounds, tell, environments, learners)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")
-    if learners:
-        records = [
-            {
-                "name": r.name,
-                "threads": r.threads,
-                "decisions_per_s": r.steps_per_s,
-                "low": r.low,
-                "high": r.high,
-                "times_highway_env": r.steps_per_s / base,
-            }
-            for r in results
-        ]
-        forms = {"threads": ".0f"} | dict.fromkeys(("decisions_per_s", "low", "high"), ",.0f")
-    else:
-        pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
-        records = [r.record() for r in results]
-        for record, r in zip(records, results, strict=True):
+    pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
+    records = []
+    for r in results:
+        times: dict[str, float | None] = {"times_highway_env": r.steps_per_s / base}
+        if learners:
+            speeds = {"decisions_per_s": r.steps_per_s, "low": r.low, "high": r.high}
+            records.append({"name": r.name, "threads": r.threads, **speeds, **times})
+        else:
             rival = pool.get((r.threads, r.vehicles))
-            record["times_highway_env"] = r.steps_per_s / base
-            record["times_envpool"] = rival and r.steps_per_s / rival
-    forms["times_highway_env"] = ",.1f"
-    forms |= {} if learners else {"times_envpool": ".2f"}
+            times["times_envpool"] = rival and r.steps_per_s / rival
+            records.append(r.record() | times)
+    if learners:
+        forms = {"threads": ".0f"} | dict.fromkeys(("decisions_per_s", "low", "high"), ",.0f")
+    forms |= {"times_highway_env": ",.1f"} | ({} if learners else {"times_envpool": ".2f"})
     print_records("name", records, forms, as_json)
 
 

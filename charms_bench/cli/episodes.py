@@ -16,8 +16,8 @@ from charms_bench.cli.terminal import (
     SuiteFolder,
     TrafficLabel,
     app,
+    end_with_json,
     interruptible,
-    print_json,
     print_records,
     print_table,
     say,
@@ -70,8 +70,7 @@ def edge_cases(
         return
     found = [asdict(case) for case in opened.edge_cases(top, kind, ego, traffic)]
     if as_json:
-        print_json(found)
-        return
+        end_with_json(found)
     if not found:
         say(f"No {kind} in {run}.")
         return
@@ -114,8 +113,7 @@ def _print_avoidability(
         for each in opened.avoidability(episodes, ego, around, budget)
     ]
     if as_json:
-        print_json([asdict(each) for each in found])
-        return
+        end_with_json([asdict(each) for each in found])
     if not found:
         say(f"No collision in {opened.path}.")
         return
@@ -175,8 +173,7 @@ def replay(
     if as_json:
         facts = {"ego": driver, "traffic": around, "episode": episode, "ending": replayed.ending}
         facts |= {"duration_s": float(replayed.t_s[-1]), "what": what}
-        print_json({**facts, **files})
-        return
+        end_with_json({**facts, **files})
     say(f"{driver} in {around}, episode {episode}: {what}")
     titles = {"animation": "Animation", "trajectories": "Trajectories", "commonroad": "CommonRoad"}
     for kind, file in files.items():
@@ -242,8 +239,7 @@ def what_if(
         ]
         facts = {"episode": episode, "step": at, "vehicle": found.vehicle, "agent": other}
         facts |= {"recorded": recorded, "what_if": instead, "futures": futures}
-        print_json({**facts, "page": str(page)})
-        return
+        end_with_json({**facts, "page": str(page)})
     say(f"Recorded: {recorded}\nWhat if:  {instead}")
     print_table(what_if_table(found))
     say(f"Page: {shown(page)}")
@@ -300,8 +296,7 @@ def search(
         facts = {"failures": made.failures, "preventable_by": made.preventable_by}
         facts |= {"episodes": made.simulations, "left_out": made.left_out}
         facts |= {"episodes_to_first": made.simulations_to_first}
-        print_json({**facts, "suite": found if made.failures else None})
-        return
+        end_with_json({**facts, "suite": found if made.failures else None})
     where, episodes = made.cell.title, counted(made.simulations, "episode")
     if made.left_out:
         episodes += f" ({made.left_out:,} left out: prescribed vehicles collide with one another)"

@@ -11,6 +11,7 @@ from charms_bench.cli.terminal import (
     EVALUATE,
     FAIL,
     UNKNOWN,
+    AnySuite,
     EgoAgents,
     Json,
     MetricSets,
@@ -19,9 +20,9 @@ from charms_bench.cli.terminal import (
     Workers,
     app,
     as_word,
+    end_with_json,
     interruptible,
     out,
-    print_json,
     print_records,
     print_table,
     say,
@@ -75,8 +76,7 @@ def suites(
         return
     titles = {name: str(Document(path).data["title"]) for name, path in found.items()}
     if as_json:
-        print_json([{"name": name, "title": title} for name, title in titles.items()])
-        return
+        end_with_json([{"name": name, "title": title} for name, title in titles.items()])
     width = max(map(len, titles))
     for name, title in titles.items():
         say(f"{name:{width}}  {title}")
@@ -84,9 +84,7 @@ def suites(
 
 @app.command(rich_help_panel=EVALUATE)
 def run(
-    suite: Annotated[
-        Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
-    ],
+    suite: AnySuite,
     agents: EgoAgents = None,
     episodes: Annotated[
         int | None,
@@ -194,8 +192,7 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
     """The headline of a run, or the table that a command has made, and where the files are."""
     if as_json:
         chosen = run.table if table is None else table
-        print_json(chosen.frame().to_dicts())
-        return
+        end_with_json(chosen.frame().to_dicts())
     from charms_bench.report.headline import headline
     from charms_bench.report.stored import stored_tables
     from charms_bench.report.terminal import compact
@@ -258,8 +255,7 @@ def show(
     if as_json:
         facts = {name: getattr(suite, name) for name in ("suite", "title", "episodes", "seed")}
         tables = {each.name: each.frame().to_dicts() for each in (table, *others)}
-        print_json({**facts, "tables": tables})
-        return
+        end_with_json({**facts, "tables": tables})
     cells = (
         f"{len(suite.egos)} × {len(suite.traffics)} cells of {counted(suite.episodes, 'episode')}"
     )
@@ -285,8 +281,7 @@ def _print_rare(folder: Path, as_json: bool) -> None:
     if not paths:
         raise InputError(f"{folder}: is not finished; the same command continues there")
     if as_json:
-        print_json({path.stem: read_csv(path).to_dicts() for path in paths})
-        return
+        end_with_json({path.stem: read_csv(path).to_dicts() for path in paths})
     for path in paths:
         text = read_file(path.with_suffix(".md"), TABLE_LIMIT_BYTES)
         say(text.decode(errors="replace").rstrip())
@@ -299,8 +294,7 @@ def _print_search(folder: Path, as_json: bool) -> None:
 
     path, points = folder / FOUND, found_in(folder)
     if as_json:
-        print_json({"failures": list(points), "suite": str(path) if points else None})
-        return
+        end_with_json({"failures": list(points), "suite": str(path) if points else None})
     if not points:
         say(f"{folder}: no failure")
         return
@@ -313,8 +307,7 @@ def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
     from charms_bench.report.training_tables import drawn_curves
 
     if as_json:
-        print_json(training.to_dict())
-        return
+        end_with_json(training.to_dict())
     if training.stages is not None:
         print_table(training.stages, stacked=True)
         networks = shown(training.path / "networks")
@@ -360,8 +353,7 @@ def compare(
     run = api.open_run(first)
     table = run.compare(other, egos, metrics or (), metric_sets or ())
     if as_json:
-        print_json(to_dicts(table))
-        return
+        end_with_json(to_dicts(table))
     columns = () if everything or metrics or metric_sets else run.suite.columns
     parts = by_pair(table, columns) if columns else []
     for part in parts or by_pair(table):
@@ -421,8 +413,7 @@ def report(
 
     made = write_report(runs, output, top, episodes or [], suite_folder, what_if)
     if as_json:
-        print_json(made)
-        return
+        end_with_json(made)
     say(
         f"{output}: {counted(len(runs), 'run')}, {counted(len(made['replays']), 'replay')}, "
         f"{made['bytes'] / 1e6:z.1f} MB"
@@ -454,13 +445,13 @@ def audit(
     chosen = None if everything else shards
     with interruptible():
         found = api.audit(run, shards=chosen, seed=seed, workers=workers, suite_folder=suite_folder)
+    code = EXIT_CODES[found.verdict]
     if as_json:
         facts = {"verdict": found.verdict, "undrawn": found.undrawn}
-        print_json({**facts, "findings": found.table.records()})
-    else:
-        for line in found.lines():
-            say(line)
-        missed = f"if one shard is false, it was missed with a probability of {found.undrawn:z.0%}"
-        is_sample = 0 < found.undrawn < 1 and found.verdict != "fail"
-        say(f"{run}: {VERDICTS[found.verdict]}{f'; {missed}' if is_sample else ''}")
-    raise typer.Exit(EXIT_CODES[found.verdict])
+        end_with_json({**facts, "findings": found.table.records()}, code)
+    for line in found.lines():
+        say(line)
+    missed = f"if one shard is false, it was missed with a probability of {found.undrawn:z.0%}"
+    is_sample = 0 < found.undrawn < 1 and found.verdict != "fail"
+    say(f"{run}: {VERDICTS[found.verdict]}{f'; {missed}' if is_sample else ''}")
+    raise typer.Exit(code)

@@ -12,8 +12,8 @@ from charms_bench.cli.terminal import (
     Json,
     app,
     as_word,
+    end_with_json,
     out,
-    print_json,
     print_records,
     say,
     shown,
@@ -40,8 +40,7 @@ def agents(as_json: Json = False) -> None:
         for plugin in plugins(group).values()
     ]
     if as_json:
-        print_json(found)
-        return
+        end_with_json(found)
     groups: dict[str, list[dict[str, str]]] = {}
     for record in found:
         source = f"{record['distribution']} {record['version']}"
@@ -65,25 +64,19 @@ def traffic(
     as_json: Json = False,
 ) -> None:
     """Print the proportions of agents in a traffic model."""
-    from charms_bench.foundation.files import absolute
     from charms_bench.plugins.registry import make_traffic
     from charms_bench.plugins.traffic_shares import SAMPLED, shares
-    from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.shares import draw
     from charms_bench.report.table import Column, Table
     from charms_bench.report.terminal import drawn
 
-    if figure is not None:
-        check_figure(figure)
-        figure = absolute(figure)
     options = _options(context.args)
     found = shares(make_traffic(name, options))
     if figure is not None:
         words = ", ".join(f"{key} {value}" for key, value in options.items())
         draw(found, f"{name} {words}".strip(), figure)
     if as_json:
-        print_json({"traffic": name, "options": options, "shares": found})
-        return
+        end_with_json({"traffic": name, "options": options, "shares": found})
     records = [{"agent": agent, "proportion": each} for agent, each in found.items()]
     columns = (Column("proportion", form=".1%"),)
     out().print(drawn(Table.from_records(records, "shares", "", ("agent",), columns), out().width))
@@ -137,13 +130,13 @@ def check(
         if not as_json:
             out().print("[red]fail[/]" if problem else "[green]pass[/]", end=" ")
             say(f"{title}: {problem}" if problem else title)
-    remark = "" if is_traffic or any(each["problem"] for each in results) else remark_on(name)
+    code = FAIL if any(each["problem"] for each in results) else 0
+    remark = "" if is_traffic or code else remark_on(name)
     if as_json:
-        print_json(results)
-    elif remark:
+        end_with_json(results, code)
+    if remark:
         say(f"remark {remark}. {MEANING}")
-    if any(result["problem"] for result in results):
-        raise typer.Exit(FAIL)
+    raise typer.Exit(code)
 
 
 @app.command(rich_help_panel=AGENTS)
@@ -278,4 +271,4 @@ def export(
             if rate not in (None, scene.simulation_hz):
                 say(f"At {hz:g} Hz, it drives in suites with `simulation_hz: {rate}` in `scene`.")
     if as_json:
-        print_json(records[0] if to is None else records)
+        end_with_json(records[0] if to is None else records)

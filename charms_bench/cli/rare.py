@@ -7,12 +7,13 @@ import typer
 
 from charms_bench.cli.terminal import (
     FAILURES,
+    AnySuite,
     EgoAgents,
     Json,
     Workers,
     app,
+    end_with_json,
     interruptible,
-    print_json,
     print_table,
     say,
     shown,
@@ -21,9 +22,7 @@ from charms_bench.cli.terminal import (
 
 @app.command(rich_help_panel=FAILURES)
 def rare(
-    suite: Annotated[
-        Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
-    ],
+    suite: AnySuite,
     agents: EgoAgents = None,
     event: Annotated[
         str,
@@ -71,7 +70,6 @@ def rare(
             workers=workers,
         )
     if as_json:
-        print_json(made.table.frame().to_dicts())
-        return
+        end_with_json(made.table.frame().to_dicts())
     print_table(made.table.without_constant_keys(), stacked=True)
     say(f"Written: {', '.join(map(shown, made.files))}")

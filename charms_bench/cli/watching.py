@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -101,11 +102,9 @@ def _in_window(watched: "Watched", window: "Window") -> None:
 
     from charms_bench.world.picture import picture
 
-    try:
+    with closing(window):
         for moment in watched.moments():
             window.show(np.asarray(picture(moment)), watched.settings.simulation_hz)
-    finally:
-        window.close()
 
 
 def _in_terminal(watched: "Watched") -> None:
