@@ -12,9 +12,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from charms_bench.errors import RunFolderError, first_problem
 from charms_bench.foundation.files import json_of, read_file, write_bytes
 from charms_bench.runs.lock import locked
-from charms_bench.runs.suite import PRESENTATION, Suite
+from charms_bench.runs.suite import Suite
 
-MANIFEST_LIMIT_BYTES = 2**26
+MANIFEST_LIMIT_BYTES = 2**24
+"""Twenty times the largest manifest; JSON takes fifty times its size in memory."""
 
 
 class RunFields(BaseModel):
@@ -42,10 +43,10 @@ def check_fields(path: Path, manifest: dict[str, Any]) -> None:
         raise RunFolderError(f"{path}: {'.'.join(map(str, place))}: {what}") from error
 
 
-def read_manifest(path: Path, limit: int) -> Any:
-    """The content of a JSON file of at most `limit` bytes; raises a `RunFolderError`."""
+def read_manifest(path: Path) -> Any:
+    """The content of a manifest; raises a `RunFolderError` if it is not JSON or too large."""
     try:
-        return json_of(read_file(path, limit), object_pairs_hook=_given_once)
+        return json_of(read_file(path, MANIFEST_LIMIT_BYTES), object_pairs_hook=_given_once)
     except ValueError as error:
         raise RunFolderError(f"{path}: is not JSON: {error}") from error
 
@@ -105,10 +106,8 @@ def opened_for_suite(
 
     It can be interrupted at any time; what is half written then is deleted here.
     """
-    fields = json.loads(suite.model_dump_json(exclude={"episodes", *PRESENTATION}))
-    ours, path = {**others, "suite": fields}, folder / manifest
-    read = partial(read_manifest, path, MANIFEST_LIMIT_BYTES)
-    with opened(folder, manifest, kind, ours, read):
+    ours, path = {**others, "suite": suite.deciding()}, folder / manifest
+    with opened(folder, manifest, kind, ours, partial(read_manifest, path)):
         for left in folder.glob("**/.*.partial"):
             left.unlink()
         write_bytes(path, (json.dumps(ours, indent=2, ensure_ascii=False) + "\n").encode())

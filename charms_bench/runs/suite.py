@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
@@ -33,8 +33,10 @@ PLACED_AT_ONCE = 100_000
 """Episodes whose placements are checked at once."""
 ENTRIES_LIMIT = 100
 """Most egos of a suite, and most traffic models."""
-PRESENTATION = ("title", "note", "columns", "warm_up_s", "pairs", "preventable_by", "references")
-"""Fields of a suite that affect only the presentation of results, and no row."""
+UNDECIDING = (
+    "episodes", "title", "note", "columns", "warm_up_s", "pairs", "preventable_by", "references"
+)  # fmt: skip
+"""Fields of a suite that decide no row: all but the first affect only how results are shown."""
 
 
 def _listed(value: object) -> object:
@@ -224,10 +226,13 @@ class Suite(FrozenModel):
         added = (ROADS,) * has_roads + (SCENARIOS,) * has_scenarios
         return (PAPER, standard_after(warm_up_s), *added)
 
+    def deciding(self) -> dict[str, Any]:
+        """Everything that decides its rows, except the number of episodes, as a manifest has it."""
+        return self.model_dump(mode="json", exclude=set(UNDECIDING))
+
     def fingerprint(self) -> str:
-        """Returns the hash of everything that decides its rows, except the number of episodes."""
-        fields = self.model_dump(mode="json", exclude={"episodes", *PRESENTATION})
-        return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
+        """The hash of `deciding`."""
+        return hashlib.sha256(json.dumps(self.deciding(), sort_keys=True).encode()).hexdigest()
 
 
 def load_suite(path: Path) -> Suite:
