@@ -123,10 +123,7 @@ def run(
             following = finished.following() if references else []
             measured = [cells[index].result() for index in sorted(cells)]
             write_run(loaded, folder, measured, following, references)
-        if finished.failed:
-            error = runner.combined(loaded, finished.failed)
-            error.add_note(runner.unfinished(len(finished.failed), len(loaded.cells), folder))
-            raise error
+        runner.raise_failed(loaded, finished.failed, folder)
     except KeyboardInterrupt as interrupt:
         if RunFolder(folder).finished():
             interrupt.add_note(f"finished shards are in {folder}")

@@ -84,7 +84,7 @@ def rare(
     """
     from charms_bench.runs.rare import check_sizes, run_rare
     from charms_bench.runs.rare_task import event_of
-    from charms_bench.runs.runner import combined, unfinished
+    from charms_bench.runs.runner import raise_failed
 
     check_positive(workers=workers)
     document = Document(Path(suite))
@@ -133,10 +133,7 @@ def rare(
         table = rare_table(loaded, name, definition, samples, cells)
         with locked(folder):
             write_table(folder, table)
-        if failed:
-            error = combined(loaded, failed)
-            error.add_note(unfinished(len(failed), len(loaded.cells), folder))
-            raise error
+        raise_failed(loaded, failed, folder)
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(f"finished runs are in {folder}")
         raise

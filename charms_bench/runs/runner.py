@@ -129,12 +129,8 @@ def run(
             if folder.has(shard):
                 notice(f"{task.title}: changed since they were written; simulated again")
 
-        def fail(task: ShardTask, error: CharmsBenchError) -> Collection[ShardTask]:
-            cell = missing[task].cell
-            note_failure(suite, cell, error, failed, notice)
-            return {each for each, shard in missing.items() if shard.cell == cell}
-
         _note_replaced(suite, before, folder.finished(), missing.values(), notice)
+        fail = note_failures(suite, failed, notice, missing)
         here = partial(on_this_machine, simulate, engine, workers, failed=fail)
         simulate_all: SimulateAll = cluster or here
         try:
@@ -216,23 +212,26 @@ def plan(
     return tasks
 
 
-def note_failure(
-    suite: Suite,
-    cell: int,
-    error: CharmsBenchError,
-    failed: dict[int, CharmsBenchError],
-    notice: Notice,
-) -> None:
-    """Adds the first error of a cell to `failed`; raises an error that is no agent's fault."""
-    if isinstance(error, RunFolderError):
-        raise error
-    if cell in failed:
-        return
-    failed[cell] = error
-    if len(suite.cells) > 1:
-        if (title := suite.cells[cell].title) not in str(error):
-            error.args = (f"{title}: {error}",)
-        notice(f"{error}; the other cells are run")
+def note_failures(
+    suite: Suite, failed: dict[int, CharmsBenchError], notice: Notice, tasks: Collection[T]
+) -> Failed[T]:
+    """A function that adds the first error of a cell to `failed` and drops the cell's other tasks.
+
+    It raises an error that is no agent's fault.
+    """
+
+    def fail(task: T, error: CharmsBenchError) -> Collection[T]:
+        if isinstance(error, RunFolderError):
+            raise error
+        if task.cell not in failed:
+            failed[task.cell] = error
+            if len(suite.cells) > 1:
+                if (title := suite.cells[task.cell].title) not in str(error):
+                    error.args = (f"{title}: {error}",)
+                notice(f"{error}; the other cells are run")
+        return {each for each in tasks if each.cell == task.cell}
+
+    return fail
 
 
 def combined(suite: Suite, failed: Mapping[int, CharmsBenchError]) -> CharmsBenchError:
@@ -245,6 +244,17 @@ def combined(suite: Suite, failed: Mapping[int, CharmsBenchError]) -> CharmsBenc
     if len(others) > LISTED:
         first.add_note(f"and {len(others) - LISTED} more errors")
     return first
+
+
+def raise_failed(suite: Suite, failed: Mapping[int, CharmsBenchError], folder: Path) -> None:
+    """Raises the errors of the cells that have failed, if some have, after the others' tables."""
+    if failed:
+        error, cells = combined(suite, failed), len(suite.cells)
+        error.add_note(
+            f"{cells - len(failed)} of {counted(cells, 'cell')} are finished; `charms-bench show "
+            f"{quote(str(folder))}` prints their tables, and the same command continues there"
+        )
+        raise error
 
 
 def _reasons(suite: Suite, failed: Mapping[int, CharmsBenchError]) -> list[str]:
@@ -293,6 +303,7 @@ def plan_cell(
     for first, episodes in blocks(suite, engine):
         task = ShardTask(
             title=f"{cell.title}, episodes {first} to {first + episodes - 1}",
+            cell=index,
             engine=engine,
             scene=cell.scene,
             ego=ego,
@@ -322,15 +333,6 @@ def _check_road(suite: Suite, cell: Cell, engine: EngineName, networks: Mapping[
                 f"suite '{suite.suite}': agent '{driver.key}' cannot drive on the road "
                 f"'{cell.scene.network}': {what}"
             )
-
-
-def unfinished(failed: int, cells: int, folder: Path) -> str:
-    """Returns the note on a run of which some cells have failed."""
-    shown = f"`charms-bench show {quote(str(folder))}`"
-    return (
-        f"{cells - failed} of {counted(cells, 'cell')} are finished; {shown} "
-        "prints their tables, and the same command continues there"
-    )
 
 
 def on_this_machine(

@@ -82,7 +82,9 @@ class CellTask:
     """A part of the work on a cell: all that decides its result."""
 
     title: str
-    """What messages call it; the only field that decides nothing."""
+    """What messages call it. This and `cell` decide nothing."""
+    cell: int = 0
+    """Index into `Suite.cells`."""
     scene: SceneSettings
     ego: AgentSpec
     traffic: TrafficSpec
@@ -100,7 +102,7 @@ class CellTask:
         of a mixture.
         """
         inputs = {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
-        del inputs["title"], inputs["networks"]
+        del inputs["title"], inputs["cell"], inputs["networks"]
         contents = {
             name: f"{self.software.agents[name]['weights_sha256']} {number}"
             for number, name in enumerate(self.networks)
