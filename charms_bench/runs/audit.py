@@ -37,11 +37,8 @@ def audit_run(
     """Yields what is found about the software, files, networks and rows of an evaluation.
 
     `shards`, `seed` and `workers` are those of `charms_bench.audit`. `progress` is called for every
-    shard that has been simulated, and `notice` with a message about a problem that was solved.
-
-    Raises:
-        RunFolderError: The folder holds no run.
-        CharmsBenchError: A shard cannot be simulated.
+    shard that has been simulated, and `notice` with a message about a problem that was solved. An
+    error is raised if the folder holds no run, or a shard cannot be simulated.
     """
     cells = planned_again(folder, suite, folder.finished())
     engine = folder.engine()

@@ -39,16 +39,10 @@ _AMBIGUOUS = (
 
 
 class Document:
-    """A YAML mapping that knows on which line each of its values is; see `_Loader`.
-
-    Args:
-        path: The file, or the name of a suite that is installed with the package.
-
-    Raises:
-        SuiteError: The file cannot be read, or `_Loader` refuses it.
-    """
+    """A YAML mapping that knows on which line each of its values is."""
 
     def __init__(self, path: Path) -> None:
+        """Reads a file, or an installed suite by name; raises a `SuiteError`, see `_Loader`."""
         path = suite_file(path)
         self.path, self.folder = path, absolute(path).parent
         try:
@@ -58,11 +52,9 @@ class Document:
         except UnicodeDecodeError as error:
             raise SuiteError(f"{path}: is not UTF-8 text: {error.reason}") from error
         except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark
-            what = error.problem or "cannot be read"
-            if not isinstance(error, _Refused):
-                what = f"is not YAML: {what}"
-            raise self._at(mark.line if mark else 0, what) from error
+            what = "" if isinstance(error, _Refused) else "is not YAML: "
+            what += error.problem or "cannot be read"
+            raise self._at(error.problem_mark.line if error.problem_mark else 0, what) from error
         except yaml.YAMLError as error:
             raise SuiteError(f"{path}: is not YAML: {_on_one_line(error)}") from error
         if not isinstance(self.data, dict):

@@ -67,11 +67,8 @@ def opened(
     """Locks a folder with a manifest; a folder with something else is not changed.
 
     The folder is made if it does not exist. If it has a manifest, which `read` reads, it must have
-    the fields `ours`; `kind` is what messages call its content.
-
-    Raises:
-        RunFolderError: The folder holds something else, another process uses it, or it cannot be
-            read or written.
+    the fields `ours`; `kind` is what messages call its content. A `RunFolderError` says what else
+    the folder holds, that another process uses it, or that it cannot be read or written.
     """
     path = folder / manifest
     try:

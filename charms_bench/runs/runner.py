@@ -188,11 +188,8 @@ def plan(
 ) -> dict[Shard, ShardTask]:
     """Returns the shards of a suite, by cell and seed, each with the task that simulates it.
 
-    The errors of cells that their agents cannot drive are added to `failed`, by cell.
-
-    Raises:
-        CharmsBenchError: A seed is one of training episodes, an agent cannot be made, or no cell
-            can be driven.
+    The errors of cells that their agents cannot drive are added to `failed`, by cell. If these are
+    all, an agent cannot be made, or a seed is one of training episodes, an error is raised.
     """
     if suite.seed + suite.episodes > EVALUATION_SEEDS:
         raise SuiteError(
@@ -276,11 +273,7 @@ def plan_cell(
 ) -> dict[Shard, ShardTask]:
     """Returns the shards of one cell; see `plan`.
 
-    Args:
-        suite: The suite.
-        index: The cell's.
-        engine: `batched` or `highway-env`.
-        folder: A run folder whose copies of networks are used instead of the suite's files.
+    If a run folder is given, its copies of networks are used instead of the suite's files.
     """
     cell = suite.cells[index]
     ego, traffic = cell.ego.agent, cell.traffic.traffic

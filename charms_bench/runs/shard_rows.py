@@ -50,10 +50,9 @@ _PARTS = {
 
 
 def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
-    """The rows of a kind of a shard in the Parquet file `path`, all of one of its episodes.
+    """The rows of a kind of a shard in the Parquet file `path`; raises a `RunFolderError`.
 
-    Raises:
-        RunFolderError: They are others. `check_values` looks at their values.
+    They are of its episodes, in order and complete. `check_values` looks at their values.
     """
     schema = SCHEMAS[kind]
     try:
