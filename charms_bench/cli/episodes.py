@@ -23,10 +23,12 @@ from charms_bench.cli.terminal import (
     say,
     shown,
 )
+from charms_bench.errors import InputError
 from charms_bench.foundation.words import counted
 
 if TYPE_CHECKING:
     from charms_bench.api import Run
+    from charms_bench.episodes.edge_cases import EdgeCase
 
 Episode = Annotated[
     int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
@@ -65,10 +67,13 @@ def edge_cases(
     from charms_bench import api
 
     opened = api.open_run(run, suite_folder)
+    if avoidable and kind not in (None, "collision"):
+        raise InputError(f"--avoidable is about collisions, not --kind {kind}")
+    cases = opened.edge_cases(top, "collision" if avoidable else kind, ego, traffic)
     if avoidable:
-        _print_avoidability(opened, top, kind, ego, traffic, budget, as_json)
+        _print_avoidability(opened, cases, budget, as_json)
         return
-    found = [asdict(case) for case in opened.edge_cases(top, kind, ego, traffic)]
+    found = [asdict(case) for case in cases]
     if as_json:
         end_with_json(found)
     if not found:
@@ -88,23 +93,12 @@ def edge_cases(
         say(remark)
 
 
-def _print_avoidability(
-    opened: "Run",
-    top: int,
-    kind: str | None,
-    ego: str | None,
-    traffic: str | None,
-    budget: int,
-    as_json: bool,
-) -> None:
-    """Prints what could have been done about the most critical collisions of the egos."""
-    from charms_bench.errors import InputError
+def _print_avoidability(opened: "Run", cases: "list[EdgeCase]", budget: int, as_json: bool) -> None:
+    """Prints what could have been done about collisions of the egos."""
     from charms_bench.report.avoidability_table import avoidability_table, rescuers_table
 
-    if kind not in (None, "collision"):
-        raise InputError(f"--avoidable is about collisions, not --kind {kind}")
     egos: dict[tuple[str, str], list[int]] = {}
-    for case in opened.edge_cases(top, "collision", ego, traffic):
+    for case in cases:
         if case.ending != "off_road":
             egos.setdefault((case.ego, case.traffic), []).append(case.episode)
     found = [
