@@ -146,12 +146,10 @@ def _print_learnable(name: str, found: Any) -> None:
 @app.command(rich_help_panel=DATA)
 def calibrate(
     recordings: Recordings,
-    to: Annotated[
-        Path | None,
-        typer.Option(
-            help="New file NAME.json for the population, from which the agent human draws drivers."
-        ),
-    ] = None,
+    to: Path | None = typer.Option(
+        None,
+        help="New file NAME.json for the population, from which the agent human draws drivers.",
+    ),
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
@@ -214,28 +212,21 @@ def calibrate(
 def likeness(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
     recordings: Recordings,
-    population: Annotated[
-        str,
-        typer.Option(
-            help="Population that was fitted to these recordings: i24, i75, or a JSON file of "
-            "`charms-bench calibrate`."
-        ),
-    ],
-    half: Annotated[
-        Literal["both", "selection", "test"],
-        typer.Option(
-            help="Compare with the first, third, ... of the held-out drivers (selection), or with "
-            "the others (test), to select an agent by some drivers and report it on others."
-        ),
-    ] = "both",
-    controls: Annotated[
-        bool,
-        typer.Option(
-            "--controls",
-            help="Also score drivers with known faults, such as copied accelerations, to see what "
-            "the score tells apart on these recordings.",
-        ),
-    ] = False,
+    population: str = typer.Option(
+        help="Population that was fitted to these recordings: i24, i75, or a JSON file of "
+        "`charms-bench calibrate`."
+    ),
+    half: Literal["both", "selection", "test"] = typer.Option(
+        "both",
+        help="Compare with the first, third, ... of the held-out drivers (selection), or with "
+        "the others (test), to select an agent by some drivers and report it on others.",
+    ),
+    controls: bool = typer.Option(
+        False,
+        "--controls",
+        help="Also score drivers with known faults, such as copied accelerations, to see what "
+        "the score tells apart on these recordings.",
+    ),
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
@@ -272,23 +263,20 @@ def likeness(
 @app.command(rich_help_panel=DATA)
 def dataset(
     run: RunPath,
-    kind: Annotated[
-        Literal["minari", "highd", "parquet"],
-        typer.Option(
-            "--format",
-            help="minari: observations, actions and rewards of the ego. highd: trajectories of all "
-            "vehicles in highD's format. parquet: their states at every simulation step.",
-        ),
-    ],
+    kind: Literal["minari", "highd", "parquet"] = typer.Option(
+        ...,
+        "--format",
+        help="minari: observations, actions and rewards of the ego. highd: trajectories of all "
+        "vehicles in highD's format. parquet: their states at every simulation step.",
+    ),
     ego: EgoLabel = None,
     traffic: TrafficLabel = None,
-    episodes: Annotated[
-        int | None,
-        typer.Option(min=1, help="Number of episodes, from the first; the default is all."),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option(help="New folder; the default is one in the run folder.")
-    ] = None,
+    episodes: int | None = typer.Option(
+        None, min=1, help="Number of episodes, from the first; the default is all."
+    ),
+    output: Path | None = typer.Option(
+        None, help="New folder; the default is one in the run folder."
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:

@@ -33,24 +33,20 @@ Road = Annotated[
 
 @app.command(rich_help_panel=ENGINE)
 def verify(
-    suite: Annotated[
-        Path | None,
-        typer.Option(help="Compare the engines in this suite instead of the built-in cases."),
-    ] = None,
-    episodes: Annotated[
-        int | None, typer.Option(min=1, max=1_000_000, help="Number of episodes per case.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**62, help="Seed of the first episode.")] = 0,
-    continuous: Annotated[
-        bool,
-        typer.Option(
-            "--continuous", help="Drive the egos with random accelerations and steering angles."
-        ),
-    ] = False,
+    suite: Path | None = typer.Option(
+        None, help="Compare the engines in this suite instead of the built-in cases."
+    ),
+    episodes: int | None = typer.Option(
+        None, min=1, max=1_000_000, help="Number of episodes per case."
+    ),
+    seed: int = typer.Option(0, min=0, max=2**62, help="Seed of the first episode."),
+    continuous: bool = typer.Option(
+        False, "--continuous", help="Drive the egos with random accelerations and steering angles."
+    ),
     road: Road = None,
-    starts: Annotated[
-        bool, typer.Option("--starts", help="Compare only the starts of the episodes of --road.")
-    ] = False,
+    starts: bool = typer.Option(
+        False, "--starts", help="Compare only the starts of the episodes of --road."
+    ),
     workers: Workers = None,
     as_json: Json = False,
 ) -> None:
@@ -152,42 +148,30 @@ def compile_engine() -> None:
 @app.command(rich_help_panel=ENGINE)
 def bench(
     context: typer.Context,
-    vehicles: Annotated[
-        int, typer.Option(min=6, max=2001, help="Vehicles per scene, including the ego.")
-    ] = 21,
-    traffic: Annotated[
-        str, typer.Option(help="Traffic model of the compiled engine.")
-    ] = "idm_mobil",
-    seconds: Annotated[
-        float, typer.Option(min=0.1, max=3600, help="Duration of each measurement.")
-    ] = 2.0,
-    rounds: Annotated[
-        int, typer.Option(min=1, max=1000, help="Number of measurements per engine.")
-    ] = 3,
-    environments: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=10_000,
-            help="Measure Gymnasium vector environments of this size instead of engines.",
-        ),
-    ] = None,
-    learners: Annotated[
-        bool,
-        typer.Option(
-            help="Measure environments in which a program drives all vehicles with random actions; "
-            "the speed is in decisions of vehicles per second."
-        ),
-    ] = False,
+    vehicles: int = typer.Option(
+        21, min=6, max=2001, help="Vehicles per scene, including the ego."
+    ),
+    traffic: str = typer.Option("idm_mobil", help="Traffic model of the compiled engine."),
+    seconds: float = typer.Option(2.0, min=0.1, max=3600, help="Duration of each measurement."),
+    rounds: int = typer.Option(3, min=1, max=1000, help="Number of measurements per engine."),
+    environments: int | None = typer.Option(
+        None,
+        min=1,
+        max=10_000,
+        help="Measure Gymnasium vector environments of this size instead of engines.",
+    ),
+    learners: bool = typer.Option(
+        False,
+        help="Measure environments in which a program drives all vehicles with random actions; "
+        "the speed is in decisions of vehicles per second.",
+    ),
     road: Road = None,
-    scale: Annotated[
-        Path | None,
-        typer.Option(
-            callback=drawable,
-            help="Measure the compiled engine with 1 to all cores, 21 to 2,000 vehicles and 1 to "
-            "100,000 scenes instead, and draw the speeds to this file (.pdf, .png or .svg).",
-        ),
-    ] = None,
+    scale: Path | None = typer.Option(
+        None,
+        callback=drawable,
+        help="Measure the compiled engine with 1 to all cores, 21 to 2,000 vehicles and 1 to "
+        "100,000 scenes instead, and draw the speeds to this file (.pdf, .png or .svg).",
+    ),
     as_json: Json = False,
 ) -> None:
     """Measure environment steps and vehicle updates per second.

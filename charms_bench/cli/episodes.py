@@ -38,28 +38,23 @@ Episode = Annotated[
 @app.command(rich_help_panel=FAILURES)
 def edge_cases(
     run: RunPath,
-    top: Annotated[
-        int, typer.Option(min=1, max=10_000_000, help="Maximum number of episodes to list.")
-    ] = 10,
-    kind: Annotated[
-        Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"] | None,
-        typer.Option(
-            help="List only this kind. In an abandoned lane change, another vehicle takes the gap."
-        ),
-    ] = None,
+    top: int = typer.Option(10, min=1, max=10_000_000, help="Maximum number of episodes to list."),
+    kind: Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]
+    | None = typer.Option(
+        None,
+        help="List only this kind. In an abandoned lane change, another vehicle takes the gap.",
+    ),
     ego: EgoLabel = None,
     traffic: TrafficLabel = None,
-    avoidable: Annotated[
-        bool,
-        typer.Option(
-            "--avoidable",
-            help="For each collision, state the last avoidable moment, and which "
-            "agents would have avoided it.",
-        ),
-    ] = False,
-    budget: Annotated[
-        int, typer.Option(min=1, help="For --avoidable: maximum number of decisions per collision.")
-    ] = 200_000,
+    avoidable: bool = typer.Option(
+        False,
+        "--avoidable",
+        help="For each collision, state the last avoidable moment, and which "
+        "agents would have avoided it.",
+    ),
+    budget: int = typer.Option(
+        200_000, min=1, help="For --avoidable: maximum number of decisions per collision."
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
@@ -121,16 +116,14 @@ def replay(
     episode: Episode,
     ego: EgoLabel = None,
     traffic: TrafficLabel = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OUT.gif", help="File of the animation; the trajectories are written beside it."
-        ),
-    ] = None,
-    commonroad: Annotated[
-        Path | None,
-        typer.Option(metavar="OUT.xml", help="Also write the episode as a CommonRoad scenario."),
-    ] = None,
+    output: Path | None = typer.Option(
+        None,
+        metavar="OUT.gif",
+        help="File of the animation; the trajectories are written beside it.",
+    ),
+    commonroad: Path | None = typer.Option(
+        None, metavar="OUT.xml", help="Also write the episode as a CommonRoad scenario."
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
@@ -178,32 +171,26 @@ def replay(
 def what_if(
     run: RunPath,
     episode: Episode,
-    at: Annotated[
-        int,
-        typer.Option(
-            "--at",
-            metavar="STEP",
-            min=1,
-            help="First decision of the other agent; decisions are counted from 1.",
-        ),
-    ],
-    other: Annotated[
-        str,
-        typer.Option(
-            "--agent", metavar="OTHER", help="An installed agent, or the path of a network."
-        ),
-    ],
-    vehicle: Annotated[
-        int | None,
-        typer.Option(min=0, help="The vehicle, by its number in replays; the default is the ego."),
-    ] = None,
-    ego: Annotated[
-        str | None, typer.Option("--ego", help="Label of the recorded ego, as in the tables.")
-    ] = None,
+    at: int = typer.Option(
+        ...,
+        "--at",
+        metavar="STEP",
+        min=1,
+        help="First decision of the other agent; decisions are counted from 1.",
+    ),
+    other: str = typer.Option(
+        ..., "--agent", metavar="OTHER", help="An installed agent, or the path of a network."
+    ),
+    vehicle: int | None = typer.Option(
+        None, min=0, help="The vehicle, by its number in replays; the default is the ego."
+    ),
+    ego: str | None = typer.Option(
+        None, "--ego", help="Label of the recorded ego, as in the tables."
+    ),
     traffic: TrafficLabel = None,
-    output: Annotated[
-        Path | None, typer.Option(metavar="OUT.html", help="File of the page with the replay.")
-    ] = None,
+    output: Path | None = typer.Option(
+        None, metavar="OUT.html", help="File of the page with the replay."
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
@@ -241,28 +228,20 @@ def what_if(
 
 @app.command(rich_help_panel=FAILURES)
 def search(
-    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file with a scenario.")],
-    agent: Annotated[
-        str | None,
-        typer.Option(help="Installed agent, or ONNX file of a network, instead of --ego."),
-    ] = None,
-    ego: Annotated[
-        str | None, typer.Option(help="Label of an ego of the suite, or an installed agent.")
-    ] = None,
-    traffic: Annotated[str | None, typer.Option(help="Label of the scenario.")] = None,
-    failures: Annotated[
-        int, typer.Option(min=1, help="Number of failures after which the search ends.")
-    ] = 10,
-    budget: Annotated[
-        int, typer.Option(min=1, help="Number of episodes after which the search ends.")
-    ] = 5000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", help="Folder; the default is runs/SUITE-search, and --agent."
-        ),
-    ] = None,
+    suite: Path = typer.Argument(metavar="SUITE", help="YAML file with a scenario."),
+    agent: str | None = typer.Option(
+        None, help="Installed agent, or ONNX file of a network, instead of --ego."
+    ),
+    ego: str | None = typer.Option(
+        None, help="Label of an ego of the suite, or an installed agent."
+    ),
+    traffic: str | None = typer.Option(None, help="Label of the scenario."),
+    failures: int = typer.Option(10, min=1, help="Number of failures after which the search ends."),
+    budget: int = typer.Option(5000, min=1, help="Number of episodes after which the search ends."),
+    seed: int = typer.Option(0, min=0, help="Seed of the search."),
+    output: Path | None = typer.Option(
+        None, "--output", "-o", help="Folder; the default is runs/SUITE-search, and --agent."
+    ),
     as_json: Json = False,
 ) -> None:
     """Search a scenario for failures of an agent.

@@ -48,10 +48,9 @@ VERDICTS = {
 
 @app.command(rich_help_panel=EVALUATE)
 def suites(
-    copy: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Copy this suite to the current folder, to edit it."),
-    ] = None,
+    copy: str | None = typer.Option(
+        None, metavar="NAME", help="Copy this suite to the current folder, to edit it."
+    ),
     as_json: Json = False,
 ) -> None:
     """List the suites that come with charms-bench.
@@ -86,71 +85,54 @@ def suites(
 def run(
     suite: AnySuite,
     agents: EgoAgents = None,
-    episodes: Annotated[
-        int | None,
-        typer.Option(min=1, help="Episodes per ego and traffic model; overrides the suite."),
-    ] = None,
+    episodes: int | None = typer.Option(
+        None, min=1, help="Episodes per ego and traffic model; overrides the suite."
+    ),
     workers: Workers = None,
-    engine: Annotated[
-        Literal["batched", "highway-env"],
-        typer.Option(help="Engine; highway-env is the slow reference."),
-    ] = "batched",
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0, help="Seed of the first episode, or the seed of a training; overrides the suite."
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(help="Run folder; the default is runs/SUITE, followed by each --agent."),
-    ] = None,
-    rows: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="RUN",
-            help="Another run folder; episodes that it contains are copied, not simulated.",
-        ),
-    ] = None,
-    shard_limit_s: Annotated[
-        float | None,
-        typer.Option(
-            "--shard-limit",
-            min=1,
-            metavar="SECONDS",
-            help="Time limit for one shard (150 episodes), including the start of its worker; "
-            "the default is 1800.",
-        ),
-    ] = None,
-    shorten: Annotated[
-        bool,
-        typer.Option("--shorten", help="Delete finished episodes that the suite no longer has."),
-    ] = False,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address of a Dask scheduler; its cluster runs the suite, e.g. tcp://HOST:8786.",
-        ),
-    ] = None,
-    only: Annotated[
-        str | None,
-        typer.Option(
-            help="Train only this stage of a training suite, and the stages that it needs."
-        ),
-    ] = None,
-    steps: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Environment steps of every stage of a training, such as a few for a trial; "
-            "overrides the suite.",
-        ),
-    ] = None,
-    recordings: Annotated[
-        Path | None,
-        typer.Option(help="Folder of human recordings for training; overrides the suite."),
-    ] = None,
+    engine: Literal["batched", "highway-env"] = typer.Option(
+        "batched", help="Engine; highway-env is the slow reference."
+    ),
+    seed: int | None = typer.Option(
+        None,
+        min=0,
+        help="Seed of the first episode, or the seed of a training; overrides the suite.",
+    ),
+    output: Path | None = typer.Option(
+        None, help="Run folder; the default is runs/SUITE, followed by each --agent."
+    ),
+    rows: Path | None = typer.Option(
+        None,
+        metavar="RUN",
+        help="Another run folder; episodes that it contains are copied, not simulated.",
+    ),
+    shard_limit_s: float | None = typer.Option(
+        None,
+        "--shard-limit",
+        min=1,
+        metavar="SECONDS",
+        help="Time limit for one shard (150 episodes), including the start of its worker; "
+        "the default is 1800.",
+    ),
+    shorten: bool = typer.Option(
+        False, "--shorten", help="Delete finished episodes that the suite no longer has."
+    ),
+    cluster: str | None = typer.Option(
+        None,
+        metavar="ADDRESS",
+        help="Address of a Dask scheduler; its cluster runs the suite, e.g. tcp://HOST:8786.",
+    ),
+    only: str | None = typer.Option(
+        None, help="Train only this stage of a training suite, and the stages that it needs."
+    ),
+    steps: int | None = typer.Option(
+        None,
+        min=1,
+        help="Environment steps of every stage of a training, such as a few for a trial; "
+        "overrides the suite.",
+    ),
+    recordings: Path | None = typer.Option(
+        None, help="Folder of human recordings for training; overrides the suite."
+    ),
     as_json: Json = False,
 ) -> None:
     """Run a suite, or continue an interrupted run of it.
@@ -214,15 +196,12 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
 
 @app.command(rich_help_panel=EVALUATE)
 def show(
-    run: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN", help="Folder of an evaluation, a training, `rare` or `search`."
-        ),
-    ],
-    metrics: Annotated[
-        list[str] | None, typer.Option("--metric", help="Show only this metric; repeat for more.")
-    ] = None,
+    run: Path = typer.Argument(
+        metavar="RUN", help="Folder of an evaluation, a training, `rare` or `search`."
+    ),
+    metrics: list[str] | None = typer.Option(
+        None, "--metric", help="Show only this metric; repeat for more."
+    ),
     everything: AllMetrics = False,
     as_json: Json = False,
 ) -> None:
@@ -318,26 +297,22 @@ def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
 
 @app.command(rich_help_panel=EVALUATE)
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="RUN_A", help="Folder of a finished run.")],
-    second: Annotated[
-        Path | None, typer.Argument(metavar="[RUN_B]", help="Another run of the same episodes.")
-    ] = None,
-    egos: Annotated[
-        tuple[str, str] | None,
-        typer.Option(
-            metavar="A B",
-            help="Labels of the egos in the tables. With one run, both are from it; with two "
-            "runs, A is from RUN_A and B is from RUN_B.",
-        ),
-    ] = None,
-    metrics: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--metric",
-            help="Test only this metric; repeat for more. Fewer tests have more power; choose "
-            "the metrics before you look at the results.",
-        ),
-    ] = None,
+    first: Path = typer.Argument(metavar="RUN_A", help="Folder of a finished run."),
+    second: Path | None = typer.Argument(
+        None, metavar="[RUN_B]", help="Another run of the same episodes."
+    ),
+    egos: tuple[str, str] | None = typer.Option(
+        None,
+        metavar="A B",
+        help="Labels of the egos in the tables. With one run, both are from it; with two "
+        "runs, A is from RUN_A and B is from RUN_B.",
+    ),
+    metrics: list[str] | None = typer.Option(
+        None,
+        "--metric",
+        help="Test only this metric; repeat for more. Fewer tests have more power; choose "
+        "the metrics before you look at the results.",
+    ),
     metric_sets: MetricSets = None,
     everything: AllMetrics = False,
     as_json: Json = False,
@@ -377,34 +352,25 @@ def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False)
 
 @app.command(rich_help_panel=EVALUATE)
 def report(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN...", help="Folders of finished runs, trainings, `rare` and `search`."
-        ),
-    ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="OUT.html", help="HTML file to write.")
-    ] = Path("report.html"),
-    top: Annotated[
-        int, typer.Option(min=0, max=100, help="Number of most critical episodes to replay.")
-    ] = 10,
-    episodes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--episode",
-            metavar="RUN:EPISODE[:EGO[:TRAFFIC]]",
-            help="Also replay this episode; repeat for more.",
-        ),
-    ] = None,
-    what_if: Annotated[
-        str | None,
-        typer.Option(
-            metavar="STEP:AGENT[:VEHICLE]",
-            help="Also show the future of each --episode with another agent from decision STEP on; "
-            "see `charms-bench what-if`.",
-        ),
-    ] = None,
+    runs: list[Path] = typer.Argument(
+        metavar="RUN...", help="Folders of finished runs, trainings, `rare` and `search`."
+    ),
+    output: Path = typer.Option(
+        Path("report.html"), "--output", "-o", metavar="OUT.html", help="HTML file to write."
+    ),
+    top: int = typer.Option(10, min=0, max=100, help="Number of most critical episodes to replay."),
+    episodes: list[str] | None = typer.Option(
+        None,
+        "--episode",
+        metavar="RUN:EPISODE[:EGO[:TRAFFIC]]",
+        help="Also replay this episode; repeat for more.",
+    ),
+    what_if: str | None = typer.Option(
+        None,
+        metavar="STEP:AGENT[:VEHICLE]",
+        help="Also show the future of each --episode with another agent from decision STEP on; "
+        "see `charms-bench what-if`.",
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
@@ -423,13 +389,13 @@ def report(
 @app.command(rich_help_panel=EVALUATE)
 def audit(
     run: RunPath,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Simulate every shard again, not only a sample.")
-    ] = False,
-    shards: Annotated[int, typer.Option(min=1, help="Number of shards to simulate again.")] = 10,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed that chooses the shards; by default, a new one.")
-    ] = None,
+    everything: bool = typer.Option(
+        False, "--all", help="Simulate every shard again, not only a sample."
+    ),
+    shards: int = typer.Option(10, min=1, help="Number of shards to simulate again."),
+    seed: int | None = typer.Option(
+        None, min=0, help="Seed that chooses the shards; by default, a new one."
+    ),
     workers: Workers = None,
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,

@@ -1,7 +1,7 @@
 """`agents`, `traffic`, `check`, `new-agent` and `export`: list, test and add agents."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import typer
 
@@ -59,7 +59,7 @@ def agents(as_json: Json = False) -> None:
 )
 def traffic(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Traffic model; its options follow, e.g. --tau 1.5.")],
+    name: str = typer.Argument(help="Traffic model; its options follow, e.g. --tau 1.5."),
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
@@ -103,7 +103,7 @@ def _options(words: list[str]) -> dict[str, Any]:
 
 @app.command(rich_help_panel=AGENTS)
 def check(
-    name: Annotated[str, typer.Argument(help="Agent or traffic model.")], as_json: Json = False
+    name: str = typer.Argument(help="Agent or traffic model."), as_json: Json = False
 ) -> None:
     """Test whether a plugin follows the rules.
 
@@ -141,17 +141,15 @@ def check(
 
 @app.command(rich_help_panel=AGENTS)
 def new_agent(
-    name: Annotated[str, typer.Argument(help="Name of the agent in suites.")],
-    folder: Annotated[
-        Path | None, typer.Option(help="Folder to create; the default is the agent's name.")
-    ] = None,
-    kind: Annotated[
-        Literal["policy", "planner", "memory", "driver-model", "traffic"],
-        typer.Option(
-            help="What to write: a policy, one that plans or that has memory, a driver model, or a "
-            "traffic model."
-        ),
-    ] = "policy",
+    name: str = typer.Argument(help="Name of the agent in suites."),
+    folder: Path | None = typer.Option(
+        None, help="Folder to create; the default is the agent's name."
+    ),
+    kind: Literal["policy", "planner", "memory", "driver-model", "traffic"] = typer.Option(
+        "policy",
+        help="What to write: a policy, one that plans or that has memory, a driver model, or a "
+        "traffic model.",
+    ),
 ) -> None:
     """Write a package with a new agent or traffic model."""
     from charms_bench.plugins.scaffold import new_agent as write
@@ -165,58 +163,46 @@ def new_agent(
 
 @app.command(rich_help_panel=AGENTS)
 def export(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="CHECKPOINT... [OUT.onnx]",
-            help="Zip file of a DQN, PPO, A2C, SAC, TD3 or DDPG of Stable-Baselines3 or a "
-            "RecurrentPPO of sb3-contrib, and the ONNX file to write; with --to, any number of zip "
-            "files.",
-        ),
-    ],
-    to: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER", help="Folder to write to; each ONNX file is named like its zip file."
-        ),
-    ] = None,
-    observation: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Observation that the network was trained with: neighbours, paper_neighbours "
-            "(networks of the paper's authors), or highway-env's Kinematics, with options such as "
-            "'{type: Kinematics, vehicles_count: 7}'; the default is what the checkpoint states.",
-        ),
-    ] = None,
-    normalise: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.npz",
-            help="Mean, var and clip of the VecNormalize that the network was trained with; none "
-            "if it normalised rewards only.",
-        ),
-    ] = None,
-    decision_hz: Annotated[
-        float | None,
-        typer.Option(
-            min=0.001,
-            max=1000,
-            help="Decisions per second that the network was trained with; the default is what the "
-            "checkpoint states, or 3, or 1 with Kinematics.",
-        ),
-    ] = None,
-    style: Annotated[
-        str, typer.Option(help="Description of how the network drives, stored in the file.")
-    ] = "",
-    stochastic: Annotated[
-        bool,
-        typer.Option(
-            "--stochastic",
-            help="Draw the actions of a PPO, A2C or RecurrentPPO at random, as in training; by "
-            "default, the network chooses the most probable action.",
-        ),
-    ] = False,
+    files: list[Path] = typer.Argument(
+        metavar="CHECKPOINT... [OUT.onnx]",
+        help="Zip file of a DQN, PPO, A2C, SAC, TD3 or DDPG of Stable-Baselines3 or a "
+        "RecurrentPPO of sb3-contrib, and the ONNX file to write; with --to, any number of zip "
+        "files.",
+    ),
+    to: Path | None = typer.Option(
+        None,
+        metavar="FOLDER",
+        help="Folder to write to; each ONNX file is named like its zip file.",
+    ),
+    observation: str | None = typer.Option(
+        None,
+        metavar="NAME",
+        help="Observation that the network was trained with: neighbours, paper_neighbours "
+        "(networks of the paper's authors), or highway-env's Kinematics, with options such as "
+        "'{type: Kinematics, vehicles_count: 7}'; the default is what the checkpoint states.",
+    ),
+    normalise: Path | None = typer.Option(
+        None,
+        metavar="FILE.npz",
+        help="Mean, var and clip of the VecNormalize that the network was trained with; none "
+        "if it normalised rewards only.",
+    ),
+    decision_hz: float | None = typer.Option(
+        None,
+        min=0.001,
+        max=1000,
+        help="Decisions per second that the network was trained with; the default is what the "
+        "checkpoint states, or 3, or 1 with Kinematics.",
+    ),
+    style: str = typer.Option(
+        "", help="Description of how the network drives, stored in the file."
+    ),
+    stochastic: bool = typer.Option(
+        False,
+        "--stochastic",
+        help="Draw the actions of a PPO, A2C or RecurrentPPO at random, as in training; by "
+        "default, the network chooses the most probable action.",
+    ),
     as_json: Json = False,
 ) -> None:
     """Convert trained networks to ONNX files for suites.

@@ -1,7 +1,6 @@
 """`rare`: the probability of an event that almost never happens."""
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -24,31 +23,26 @@ from charms_bench.cli.terminal import (
 def rare(
     suite: AnySuite,
     agents: EgoAgents = None,
-    event: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME[:OPTION=VALUE,...]",
-            help="Event: crash, ttc:below_s=1.0, or an event of a plugin.",
-        ),
-    ] = "crash",
-    runs: Annotated[
-        int,
-        typer.Option(
-            help="Independent runs per ego and traffic model, 5 to 1,000; more runs give a "
-            "narrower interval."
-        ),
-    ] = 10,
-    samples: Annotated[
-        int, typer.Option(help="Episodes per level of a run, a multiple of 5, at least 100.")
-    ] = 1000,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of all random draws; overrides the suite.")
-    ] = None,
+    event: str = typer.Option(
+        "crash",
+        metavar="NAME[:OPTION=VALUE,...]",
+        help="Event: crash, ttc:below_s=1.0, or an event of a plugin.",
+    ),
+    runs: int = typer.Option(
+        10,
+        help="Independent runs per ego and traffic model, 5 to 1,000; more runs give a "
+        "narrower interval.",
+    ),
+    samples: int = typer.Option(
+        1000, help="Episodes per level of a run, a multiple of 5, at least 100."
+    ),
+    seed: int | None = typer.Option(
+        None, min=0, help="Seed of all random draws; overrides the suite."
+    ),
     workers: Workers = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(help="Folder; the default is runs/SUITE-rare-EVENT, and each --agent."),
-    ] = None,
+    output: Path | None = typer.Option(
+        None, help="Folder; the default is runs/SUITE-rare-EVENT, and each --agent."
+    ),
     as_json: Json = False,
 ) -> None:
     """Estimate the probability of a rare event, such as a crash.

@@ -209,18 +209,19 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
-        ),
-    ] = False,
-    quiet: Annotated[
-        bool, typer.Option(ANYWHERE[0], help="Print results and errors, but no progress.")
-    ] = False,
-    verbose: Annotated[
-        bool, typer.Option(ANYWHERE[1], help="Print where in the code an error was raised.")
-    ] = False,
+    version: bool = typer.Option(
+        False,
+        "--version",
+        callback=_print_version,
+        is_eager=True,
+        help="Print the version and exit.",
+    ),
+    quiet: bool = typer.Option(
+        False, ANYWHERE[0], help="Print results and errors, but no progress."
+    ),
+    verbose: bool = typer.Option(
+        False, ANYWHERE[1], help="Print where in the code an error was raised."
+    ),
 ) -> None:
     """Benchmark driving behaviour on highway-env's motorway."""
     QUIET.set(quiet)

@@ -5,7 +5,7 @@ import sys
 import time
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -21,31 +21,24 @@ WIDEST = 120
 
 @app.command(rich_help_panel=FAILURES)
 def watch(
-    agent: Annotated[
-        str, typer.Argument(help="Ego: an installed agent, or the path of an ONNX file.")
-    ],
-    traffic: Annotated[
-        str | None,
-        typer.Option(
-            help="Traffic model, or an agent that drives all other vehicles; the default is "
-            "idm_mobil. With --suite, the label of one of its traffic models."
-        ),
-    ] = None,
-    suite: Annotated[
-        Path | None,
-        typer.Option(help="Suite whose scene and traffic models to use: a YAML file or a name."),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            max=2**64 - 1,
-            help="Seed of the episode; the default is 0, or the suite's first one.",
-        ),
-    ] = None,
-    text: Annotated[
-        bool, typer.Option("--text", help="Draw in the terminal even if there is a display.")
-    ] = False,
+    agent: str = typer.Argument(help="Ego: an installed agent, or the path of an ONNX file."),
+    traffic: str | None = typer.Option(
+        None,
+        help="Traffic model, or an agent that drives all other vehicles; the default is "
+        "idm_mobil. With --suite, the label of one of its traffic models.",
+    ),
+    suite: Path | None = typer.Option(
+        None, help="Suite whose scene and traffic models to use: a YAML file or a name."
+    ),
+    seed: int | None = typer.Option(
+        None,
+        min=0,
+        max=2**64 - 1,
+        help="Seed of the episode; the default is 0, or the suite's first one.",
+    ),
+    text: bool = typer.Option(
+        False, "--text", help="Draw in the terminal even if there is a display."
+    ),
 ) -> None:
     """Watch an agent drive an episode, in a window or in the terminal.
 
