@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     DATA,
     EgoLabel,
@@ -24,14 +25,14 @@ from charms_bench.cli.terminal import (
     say,
     shown,
 )
+from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute, write_bytes
 from charms_bench.foundation.words import counted
 
 
 @app.command(rich_help_panel=DATA)
 def data(recordings: Recordings, figure: FigurePath = None, as_json: Json = False) -> None:
     """Summarise recordings of human driving."""
-    from charms_bench.errors import InputError
-    from charms_bench.foundation.files import absolute
     from charms_bench.people.survey import OFF_CENTRE_M, survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
     from charms_bench.report.figures.recordings import draw
@@ -154,8 +155,6 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Fit drivers to recordings, and predict held-out drivers."""
-    from charms_bench.errors import InputError
-    from charms_bench.foundation.files import absolute, write_bytes
     from charms_bench.people.calibrated import calibrate as calibrated
     from charms_bench.people.held_out import HORIZONS_S
     from charms_bench.people.lane_choices import FEWEST_CHANGES, fit_choices, read_choices
@@ -231,7 +230,6 @@ def likeness(
     as_json: Json = False,
 ) -> None:
     """Score how much egos and traffic drive like recorded drivers."""
-    from charms_bench.foundation.files import absolute
     from charms_bench.people.population import read_population
     from charms_bench.report.figures.likeness import draw
     from charms_bench.report.likeness_table import likeness_tables
@@ -281,9 +279,7 @@ def dataset(
     as_json: Json = False,
 ) -> None:
     """Write the episodes of a run as a dataset for other tools."""
-    from charms_bench import api
-
-    opened = api.open_run(run, suite_folder)
+    opened = charms_bench.open_run(run, suite_folder)
     with interruptible():
         path = opened.dataset(kind, output, ego=ego, traffic=traffic, episodes=episodes)
     written = episodes or opened.suite.episodes

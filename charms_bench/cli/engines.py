@@ -6,6 +6,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     ENGINE,
     FAIL,
@@ -54,7 +55,6 @@ def verify(
 
     Both use the same elementary functions. The exit code is 1 if the engines differ.
     """
-    from charms_bench.api.warming import warm_up
     from charms_bench.report.progress import progress
     from charms_bench.runs.document import Document
     from charms_bench.runs.suite import check_networks, suite_of
@@ -76,7 +76,7 @@ def verify(
         check_networks(document, loaded)
         cases, count = verification.cases_of(loaded), 10
     count = episodes or count
-    warm_up()
+    charms_bench.warm_up()
     with progress("episodes", count * len(cases)) as bar:
         results = verification.verify(cases, count, seed, workers, lambda done: bar("", done))
     differing = sum(len(result.differences) for result in results)
@@ -138,10 +138,8 @@ def compile_engine() -> None:
 
     It is compiled once for each installation, for the processor of this machine.
     """
-    from charms_bench import api
-
     with interruptible():
-        compiled = api.warm_up()
+        compiled = charms_bench.warm_up()
     say("The engine is compiled." if compiled else "The engine was compiled before.")
 
 
@@ -180,7 +178,6 @@ def bench(
     environment step is one decision of the ego. A vehicle update is one simulation step of one
     vehicle.
     """
-    from charms_bench.api.warming import warm_up
     from charms_bench.testing import bench as benchmark
 
     def tell(name: str) -> None:
@@ -200,7 +197,7 @@ def bench(
         return
     if scale is not None:
         _check_excluded(context, "--scale", "vehicles", "traffic", "environments", "learners")
-    warm_up()
+    charms_bench.warm_up()
     forms = {"vehicles": ",.0f", "threads": ".0f", "steps_per_s": ",.0f"}
     forms |= {"vehicle_updates_per_s": ",.0f", "ns_per_vehicle_step": ",.1f"}
     if scale is not None:

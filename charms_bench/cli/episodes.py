@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     FAILURES,
     EgoLabel,
@@ -24,6 +25,7 @@ from charms_bench.cli.terminal import (
     shown,
 )
 from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute, write_bytes
 from charms_bench.foundation.words import counted
 
 if TYPE_CHECKING:
@@ -59,9 +61,7 @@ def edge_cases(
     as_json: Json = False,
 ) -> None:
     """Rank the episodes of a run by criticality."""
-    from charms_bench import api
-
-    opened = api.open_run(run, suite_folder)
+    opened = charms_bench.open_run(run, suite_folder)
     if avoidable and kind not in (None, "collision"):
         raise InputError(f"--avoidable is about collisions, not --kind {kind}")
     cases = opened.edge_cases(top, "collision" if avoidable else kind, ego, traffic)
@@ -128,11 +128,9 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Write an animation and the trajectories of an episode."""
-    from charms_bench import api
     from charms_bench.episodes.animation import check_animation
     from charms_bench.episodes.commonroad import check_commonroad
     from charms_bench.episodes.dataset import name_of
-    from charms_bench.foundation.files import absolute, write_bytes
 
     if output is not None:
         check_animation(output)
@@ -140,7 +138,7 @@ def replay(
     if commonroad is not None:
         check_commonroad(commonroad)
         commonroad = absolute(commonroad)
-    opened = api.open_run(run, suite_folder)
+    opened = charms_bench.open_run(run, suite_folder)
     replayed = opened.replay(episode, ego, traffic)
     driver, around = replayed.cell.ego.title, replayed.cell.traffic.title
     name = f"{name_of(opened.suite, replayed.cell)}-{episode}.gif"
@@ -195,9 +193,7 @@ def what_if(
     as_json: Json = False,
 ) -> None:
     """Let another agent drive from a decision of an episode on."""
-    from charms_bench import api
     from charms_bench.episodes.dataset import name_of
-    from charms_bench.foundation.files import absolute
     from charms_bench.foundation.names import name_of_agent
     from charms_bench.report.html.page import check_page
     from charms_bench.report.html.single import write_what_if
@@ -206,7 +202,7 @@ def what_if(
     if output is not None:
         check_page(output)
         output = absolute(output)
-    opened = api.open_run(run, suite_folder)
+    opened = charms_bench.open_run(run, suite_folder)
     found = opened.what_if(episode, at, other, vehicle, ego, traffic)
     seat = "ego" if found.vehicle == found.recorded.ego else str(found.vehicle)
     cell = name_of(opened.suite, found.recorded.cell)
@@ -249,11 +245,10 @@ def search(
     A failure is a collision that a driver named by `preventable_by` avoids in the same scenario.
     The folder has them as a suite, `found.yaml`. An interrupted search continues.
     """
-    from charms_bench import api
     from charms_bench.episodes.search import FOUND
 
     with interruptible():
-        made = api.search(
+        made = charms_bench.search(
             suite,
             ego,
             traffic,

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     EVALUATE,
     FAIL,
@@ -28,7 +29,8 @@ from charms_bench.cli.terminal import (
     say,
     shown,
 )
-from charms_bench.errors import InputError, RunFolderError
+from charms_bench.errors import InputError, RunFolderError, suggestion
+from charms_bench.foundation.files import read_file
 from charms_bench.foundation.words import counted
 
 AllMetrics = Annotated[
@@ -36,14 +38,14 @@ AllMetrics = Annotated[
 ]
 EARLY_WORKERS = 4
 """The most workers that start before the suite is read; a finished run needs none of them."""
-EXIT_CODES = {"pass": 0, "fail": FAIL, "unknown": UNKNOWN}
 HEADLINE_WIDTH = 100
 """Characters that the table at the end of a run takes at most."""
 VERDICTS = {
-    "pass": "everything that was checked passes",
-    "fail": "fails",
-    "unknown": "nothing fails, but not everything can be checked here",
+    "pass": (0, "everything that was checked passes"),
+    "fail": (FAIL, "fails"),
+    "unknown": (UNKNOWN, "nothing fails, but not everything can be checked here"),
 }
+"""The exit code of `audit`, and what it says."""
 
 
 @app.command(rich_help_panel=EVALUATE)
@@ -57,7 +59,6 @@ def suites(
 
     `charms-bench run NAME` runs one.
     """
-    from charms_bench.errors import suggestion
     from charms_bench.runs.document import Document
     from charms_bench.runs.packaged import packaged_suites
 
@@ -154,19 +155,16 @@ def run(
             option = {"agents": "agent", "shard_limit_s": "shard-limit"}.get(name, name)
             raise InputError(f"--{option} is for {kinds[0]}; {suite} is {kinds[1]}")
     if is_training:
-        from charms_bench import api
-
         with interruptible():
-            trained = api.train(suite, output, workers=workers, seed=seed, **of_trainings)
+            trained = charms_bench.train(suite, output, workers=workers, seed=seed, **of_trainings)
         _print_training(trained, as_json)
         return
     can_start = cluster is None and engine == "batched"
     early = min(workers or os.cpu_count() or 1, EARLY_WORKERS) if can_start else 0
     with interruptible(), started_early(early, "charms_bench.runs.shard"):
-        from charms_bench import api  # takes a while, in which the workers start
-
+        # To import what it needs takes a while, in which the workers start.
         of_evaluations |= {"seed": seed, "shorten": shorten, "agents": agents or ()}
-        made = api.run(suite, output, workers=workers, engine=engine, **of_evaluations)
+        made = charms_bench.run(suite, output, workers=workers, engine=engine, **of_evaluations)
     _print_result(made, as_json)
 
 
@@ -206,7 +204,6 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Print the tables of a run, with 95 % intervals drawn to scale."""
-    from charms_bench import api
     from charms_bench.episodes.search import MANIFEST as SEARCH
     from charms_bench.report.progress import note
     from charms_bench.report.stored import holds, stored_tables
@@ -220,11 +217,10 @@ def show(
             raise InputError(f"{run}: is not an evaluation; --metric and --all are for those")
         if holds(run, RARE):
             _print_rare(run, as_json)
-            return
-        if holds(run, SEARCH):
+        elif holds(run, SEARCH):
             _print_search(run, as_json)
-            return
-        _print_training(api.open_training(run), as_json, curves=True)
+        else:
+            _print_training(charms_bench.open_training(run), as_json, curves=True)
         return
     folder = RunFolder(run)
     suite = folder.suite()
@@ -243,7 +239,7 @@ def show(
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out().print(drawn(each, out().width))
     try:
-        opened = api.open_run(run)
+        opened = charms_bench.open_run(run)
         if remarks := [*opened.interfaces(), *opened.remarks()]:
             say("\n".join(["", *remarks]))
     except RunFolderError as error:  # tables are shown even where their rows are missing
@@ -253,7 +249,6 @@ def show(
 
 def _print_rare(folder: Path, as_json: bool) -> None:
     """The tables that `rare` has written."""
-    from charms_bench.foundation.files import read_file
     from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_csv
 
     paths = sorted((folder / "tables").glob("*.csv"))
@@ -321,11 +316,10 @@ def compare(
 
     Both egos drive the same episodes, so the tests are paired.
     """
-    from charms_bench import api
     from charms_bench.report.comparison import by_pair, to_dicts
 
-    other = None if second is None else api.open_run(second)
-    run = api.open_run(first)
+    other = None if second is None else charms_bench.open_run(second)
+    run = charms_bench.open_run(first)
     table = run.compare(other, egos, metrics or (), metric_sets or ())
     if as_json:
         end_with_json(to_dicts(table))
@@ -343,9 +337,7 @@ def compare(
 @app.command(rich_help_panel=EVALUATE)
 def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False) -> None:
     """Compute the metrics of a run again, without simulating."""
-    from charms_bench import api
-
-    opened = api.open_run(run)
+    opened = charms_bench.open_run(run)
     table = opened.rescore(*(metric_sets or ()))
     _print_result(opened, as_json, table if metric_sets else None)
 
@@ -406,12 +398,12 @@ def audit(
     every check passes, 1 if a check fails, and 3 if a check cannot be made with the installed
     software.
     """
-    from charms_bench import api
-
     chosen = None if everything else shards
     with interruptible():
-        found = api.audit(run, shards=chosen, seed=seed, workers=workers, suite_folder=suite_folder)
-    code = EXIT_CODES[found.verdict]
+        found = charms_bench.audit(
+            run, shards=chosen, seed=seed, workers=workers, suite_folder=suite_folder
+        )
+    code, verdict = VERDICTS[found.verdict]
     if as_json:
         facts = {"verdict": found.verdict, "undrawn": found.undrawn}
         end_with_json({**facts, "findings": found.table.records()}, code)
@@ -419,5 +411,5 @@ def audit(
         say(line)
     missed = f"if one shard is false, it was missed with a probability of {found.undrawn:z.0%}"
     is_sample = 0 < found.undrawn < 1 and found.verdict != "fail"
-    say(f"{run}: {VERDICTS[found.verdict]}{f'; {missed}' if is_sample else ''}")
+    say(f"{run}: {verdict}{f'; {missed}' if is_sample else ''}")
     raise typer.Exit(code)

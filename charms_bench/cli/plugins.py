@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     AGENTS,
     FAIL,
@@ -19,6 +20,7 @@ from charms_bench.cli.terminal import (
     shown,
 )
 from charms_bench.errors import PLUGIN_ERRORS, InputError, raised
+from charms_bench.foundation.files import absolute, is_same_file
 
 
 @app.command(rich_help_panel=AGENTS)
@@ -109,13 +111,12 @@ def check(
 
     The exit code is 1 if the plugin breaks a rule.
     """
-    from charms_bench.api.warming import warm_up
     from charms_bench.metrics.missing_lanes import MEANING
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
     from charms_bench.testing import agent_rules, traffic_rules
     from charms_bench.testing.driving import remark_on
 
-    warm_up()
+    charms_bench.warm_up()
     is_traffic = name in plugins(TRAFFIC) and name not in plugins(AGENTS)
     rules = traffic_rules(make_traffic(name)) if is_traffic else agent_rules(make_agent(name))
     results = []
@@ -209,7 +210,6 @@ def export(
 
     In a suite, the path of an ONNX file is the name of an agent.
     """
-    from charms_bench.foundation.files import absolute, is_same_file
     from charms_bench.plugins.registry import EXPORTERS, load
     from charms_bench.runs.document import value_of
     from charms_bench.world.observations import named_observation

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     FAILURES,
     AnySuite,
@@ -50,10 +51,8 @@ def rare(
     The command uses subset simulation. The column `plain episodes` shows how many episodes of plain
     simulation would give an interval as narrow. Finished runs are not repeated.
     """
-    from charms_bench import api
-
     with interruptible():
-        made = api.rare(
+        made = charms_bench.rare(
             suite,
             event,
             output,

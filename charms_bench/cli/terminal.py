@@ -19,6 +19,7 @@ import typer
 from typer.core import TyperGroup
 
 from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute
 from charms_bench.foundation.streams import QUIET
 
 if TYPE_CHECKING:
@@ -159,7 +160,6 @@ def drawable(path: Path | None) -> Path | None:
     """The absolute path of a figure; raises an `InputError` if no figure can have its name."""
     if path is None:
         return None
-    from charms_bench.foundation.files import absolute
     from charms_bench.report.figures.drawing import check_figure
 
     check_figure(path)

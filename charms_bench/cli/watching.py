@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import FAILURES, app, interruptible, out, say
+from charms_bench.errors import InputError
 
 if TYPE_CHECKING:
     from charms_bench.envs.watched_episode import Watched
@@ -46,10 +48,9 @@ def watch(
     output is not a terminal, it has one picture per second of the episode.
     """
     from charms_bench.api.evaluation import cell_of
-    from charms_bench.api.warming import warm_up
     from charms_bench.envs.watched_episode import Watched, plain
 
-    warm_up()
+    charms_bench.warm_up()
     if suite is not None:
         simulation, title, first = cell_of(suite, agent, traffic)
     else:
@@ -79,7 +80,6 @@ ENDED = {
 def _window(title: str) -> "Window | None":
     """A window, or None if there is no display."""
     from charms_bench.envs.window import Window
-    from charms_bench.errors import InputError
 
     displays = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
     if sys.platform == "linux" and not any(map(os.environ.get, displays)):

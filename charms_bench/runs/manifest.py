@@ -1,7 +1,8 @@
 """What a folder with a manifest holds: it is compared before anything in the folder is changed."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from charms_bench.errors import RunFolderError, first_problem
-from charms_bench.foundation.files import json_of, read_file, write_bytes
+from charms_bench.foundation.files import PARTIAL, json_of, read_file, write_bytes
 from charms_bench.runs.lock import locked
 from charms_bench.runs.suite import Suite
 
@@ -67,8 +68,9 @@ def opened(
     """Locks a folder with a manifest; a folder with something else is not changed.
 
     The folder is made if it does not exist. If it has a manifest, which `read` reads, it must have
-    the fields `ours`; `kind` is what messages call its content. A `RunFolderError` says what else
-    the folder holds, that another process uses it, or that it cannot be read or written.
+    the fields `ours`; `kind` is what messages call its content. What an interruption has left half
+    written is deleted. A `RunFolderError` says what else the folder holds, that another process
+    uses it, or that it cannot be read or written.
     """
     path = folder / manifest
     try:
@@ -92,21 +94,29 @@ def opened(
                 f"{folder} holds another {kind}: {field.removeprefix('suite.')} was {was}, now "
                 f"{now}; choose another folder with --output, or delete this one"
             )
+        for each in (folder, *(path for path in folder.glob("*") if path.is_dir())):
+            delete(each, PARTIAL)
         yield
+
+
+def delete(folder: Path, pattern: str, kept: Collection[str] = ()) -> None:
+    """Deletes the files of a folder whose names match, except those whose stems are kept."""
+    try:
+        for path in sorted(folder.glob("*")):
+            is_file = path.is_file() and not path.is_symlink()
+            if is_file and re.fullmatch(pattern, path.name) and path.stem not in kept:
+                path.unlink()
+    except OSError as error:
+        raise RunFolderError(f"{error.filename}: cannot be deleted: {error.strerror}") from error
 
 
 @contextmanager
 def opened_for_suite(
     folder: Path, manifest: str, kind: str, suite: Suite, others: Mapping[str, Any]
 ) -> Iterator[None]:
-    """Opens a folder as `opened` does, and writes its manifest: some fields and the suite.
-
-    It can be interrupted at any time; what is half written then is deleted here.
-    """
+    """Opens a folder as `opened` does, and writes its manifest: some fields and the suite."""
     ours, path = {**others, "suite": suite.deciding()}, folder / manifest
     with opened(folder, manifest, kind, ours, partial(read_manifest, path)):
-        for left in folder.glob("**/.*.partial"):
-            left.unlink()
         write_bytes(path, (json.dumps(ours, indent=2, ensure_ascii=False) + "\n").encode())
         yield
 

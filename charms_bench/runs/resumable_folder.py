@@ -9,7 +9,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,12 +20,12 @@ import polars as pl
 from charms_bench import __version__
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import RunFolderError, problem_in
-from charms_bench.foundation.files import PARTIAL, read_file, read_limited, write_bytes
+from charms_bench.foundation.files import read_file, read_limited, write_bytes
 from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import is_network
 from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
-from charms_bench.runs.manifest import check_fields, opened, read_manifest
+from charms_bench.runs.manifest import check_fields, delete, opened, read_manifest
 from charms_bench.runs.shard import ShardFiles
 from charms_bench.runs.shard_rows import (
     check_seeds,
@@ -66,8 +66,6 @@ class RunFolder:
         """Locks the folder for running a suite; see `manifest.opened`."""
         ours = {"suite": suite.deciding(), "engine": engine}
         with opened(self.path, MANIFEST, "run", ours, self.manifest):
-            for folder in ("", *KINDS, CHECKSUMS, NETWORKS, "tables", "figures"):
-                _delete(self.path / folder, PARTIAL)
             self._opened = os.stat(self.path)
             yield
 
@@ -346,7 +344,7 @@ class RunFolder:
         """Deletes every shard that is not one of these, and every network of another run."""
         names = {shard.name for shard in shards} | set(self.network_hashes().values())
         for folder, pattern in _WRITTEN.items():
-            _delete(self.path / folder, pattern, names)
+            delete(self.path / folder, pattern, names)
 
     def _network(self, sha256: str) -> Path:
         return self.path / NETWORKS / f"{sha256}.onnx"
@@ -356,17 +354,6 @@ class RunFolder:
 
     def _checksums(self, name: str) -> Path:
         return self.path / CHECKSUMS / f"{name}.sha256"
-
-
-def _delete(folder: Path, pattern: str, kept: Collection[str] = ()) -> None:
-    """Deletes the files of a folder whose names match, except those whose stems are kept."""
-    try:
-        for path in sorted(folder.glob("*")):
-            is_file = path.is_file() and not path.is_symlink()
-            if is_file and re.fullmatch(pattern, path.name) and path.stem not in kept:
-                path.unlink()
-    except OSError as error:
-        raise RunFolderError(f"{error.filename}: cannot be deleted: {error.strerror}") from error
 
 
 def _content(path: Path) -> bytes:
