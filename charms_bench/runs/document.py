@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from charms_bench.errors import InputError, SuiteError, first_problem
+from charms_bench.errors import InputError, SuiteError, first_problem, problem_in
 from charms_bench.foundation.files import absolute, read_limited
 from charms_bench.runs.packaged import suite_file
 
@@ -56,7 +56,7 @@ class Document:
             what += error.problem or "cannot be read"
             raise self._at(error.problem_mark.line if error.problem_mark else 0, what) from error
         except yaml.YAMLError as error:
-            raise SuiteError(f"{path}: is not YAML: {_on_one_line(error)}") from error
+            raise SuiteError(f"{path}: is not YAML: {problem_in(error)}") from error
         if not isinstance(self.data, dict):
             raise self._at(0, "expected a mapping of keys to values")
 
@@ -111,7 +111,7 @@ def value_of(text: str) -> Any:
     except yaml.MarkedYAMLError as error:
         raise ValueError(error.problem) from error
     except yaml.YAMLError as error:
-        raise ValueError(_on_one_line(error)) from error
+        raise ValueError(problem_in(error)) from error
 
 
 def name_and_options(text: str, what: str) -> tuple[str, dict[str, Any]]:
@@ -135,7 +135,10 @@ def name_and_options(text: str, what: str) -> tuple[str, dict[str, Any]]:
 
 
 class _Refused(yaml.MarkedYAMLError):
-    """Valid YAML of a kind that no suite needs."""
+    """Valid YAML of a kind that no suite needs, at an event or a node."""
+
+    def __init__(self, what: str, at: Any) -> None:
+        super().__init__(problem=what, problem_mark=at.start_mark)
 
 
 class _Loader(yaml.SafeLoader):
@@ -151,14 +154,14 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]  # of PyYAML
         if isinstance(event, yaml.AliasEvent):
-            raise _refused("aliases (*name) are not supported", event)
+            raise _Refused("aliases (*name) are not supported", event)
         if (
             isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent)
             and event.tag is not None
         ):
-            raise _refused("tags (!name) are not supported", event)
+            raise _Refused("tags (!name) are not supported", event)
         if self._depth == DEPTH_LIMIT:
-            raise _refused(f"nested more than {DEPTH_LIMIT} deep", event)
+            raise _Refused(f"nested more than {DEPTH_LIMIT} deep", event)
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
@@ -167,7 +170,7 @@ class _Loader(yaml.SafeLoader):
         if isinstance(node, yaml.ScalarNode) and node.style is None:
             _check_plain(node)
         if node is not None and node.tag.endswith(":int") and len(node.value) > DIGITS_LIMIT:
-            raise _refused(f"a number has more than {DIGITS_LIMIT} digits", event)
+            raise _Refused(f"a number has more than {DIGITS_LIMIT} digits", event)
         return node
 
 
@@ -180,7 +183,7 @@ for _tag, (_pattern, _first) in _PLAIN.items():
 def _check_plain(node: yaml.ScalarNode) -> None:
     for pattern, what in _AMBIGUOUS:
         if re.fullmatch(pattern, node.value):
-            raise _refused(
+            raise _Refused(
                 f"{node.value} is {what} in some versions of YAML; write the number without "
                 f"leading zeros, true or false, or a text as '{node.value}' in quotes",
                 node,
@@ -201,21 +204,12 @@ def _check_keys(node: yaml.MappingNode) -> None:
     seen: set[str] = set()
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise _refused("a key must be a word, not a list or a mapping", key)
+            raise _Refused("a key must be a word, not a list or a mapping", key)
         if key.value == "<<":
-            raise _refused("merge keys (<<) are not supported", key)
+            raise _Refused("merge keys (<<) are not supported", key)
         if key.value in seen:
-            raise _refused(f"the key '{key.value}' is given twice", key)
+            raise _Refused(f"the key '{key.value}' is given twice", key)
         seen.add(key.value)
-
-
-def _refused(what: str, at: Any) -> _Refused:
-    """Returns the error for an event or a node."""
-    return _Refused(problem=what, problem_mark=at.start_mark)
-
-
-def _on_one_line(error: yaml.YAMLError) -> str:
-    return " ".join(str(error).split())
 
 
 def _child(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | None:

@@ -76,16 +76,10 @@ def run(
     Args:
         suite: What to run.
         output: The run folder. An interrupted run in it is continued.
-        engine: `batched` or `highway-env`.
-        workers: Number of processes; by default one per core.
+        engine, workers, rows, shard_limit_s, notice, shorten: As in `charms_bench.run`.
         progress: Called for every finished shard, first for those already in the folder.
-        rows: The folder of another run; shards that both runs have are copied from it.
-        shard_limit_s: Seconds that a shard may take.
-        notice: Called with a message about what went wrong and was put right.
-        cluster: Simulates the shards on a cluster and not in processes on this machine; see
-            `cluster.on_cluster`.
+        cluster: Simulates the shards elsewhere than on this machine; see `cluster.on_cluster`.
         on_cell: Called for every cell that is finished, with its index and its rows.
-        shorten: Whether finished episodes that the suite no longer has may be deleted.
 
     Raises:
         CharmsBenchError: Something is wrong; the folder keeps the shards finished so far.
