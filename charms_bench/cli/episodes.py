@@ -1,4 +1,4 @@
-"""`edge-cases`, `replay`, `what-if` and `search`: single episodes."""
+"""`rare`, `edge-cases`, `replay`, `what-if` and `search`: failures, and single episodes."""
 
 from dataclasses import asdict
 from io import BytesIO
@@ -11,11 +11,14 @@ import typer
 import charms_bench
 from charms_bench.cli.terminal import (
     FAILURES,
+    AnySuite,
+    EgoAgents,
     EgoLabel,
     Json,
     RunPath,
     SuiteFolder,
     TrafficLabel,
+    Workers,
     app,
     end_with_json,
     interruptible,
@@ -35,6 +38,54 @@ if TYPE_CHECKING:
 Episode = Annotated[
     int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
 ]
+
+
+@app.command(rich_help_panel=FAILURES)
+def rare(
+    suite: AnySuite,
+    agents: EgoAgents = None,
+    event: str = typer.Option(
+        "crash",
+        metavar="NAME[:OPTION=VALUE,...]",
+        help="Event: crash, ttc:below_s=1.0, or an event of a plugin.",
+    ),
+    runs: int = typer.Option(
+        10,
+        help="Independent runs per ego and traffic model, 5 to 1,000; more runs give a "
+        "narrower interval.",
+    ),
+    samples: int = typer.Option(
+        1000, help="Episodes per level of a run, a multiple of 5, at least 100."
+    ),
+    seed: int | None = typer.Option(
+        None, min=0, help="Seed of all random draws; overrides the suite."
+    ),
+    workers: Workers = None,
+    output: Path | None = typer.Option(
+        None, help="Folder; the default is runs/SUITE-rare-EVENT, and each --agent."
+    ),
+    as_json: Json = False,
+) -> None:
+    """Estimate the probability of a rare event, such as a crash.
+
+    The command uses subset simulation. The column `plain episodes` shows how many episodes of plain
+    simulation would give an interval as narrow. Finished runs are not repeated.
+    """
+    with interruptible():
+        made = charms_bench.rare(
+            suite,
+            event,
+            output,
+            agents=agents or (),
+            runs=runs,
+            samples=samples,
+            seed=seed,
+            workers=workers,
+        )
+    if as_json:
+        end_with_json(made.table.frame().to_dicts())
+    print_table(made.table.without_constant_keys(), stacked=True)
+    say(f"Written: {', '.join(map(shown, made.files))}")
 
 
 @app.command(rich_help_panel=FAILURES)
