@@ -36,11 +36,7 @@ NUMBA_FILE = ".numba_config.yaml"
 
 
 def _check_environment() -> None:
-    """Names what a library would read from the current folder, or end the process for.
-
-    Raises:
-        InputError: There is such a file, or an environment variable is not a number.
-    """
+    """Raises an `InputError` for what a library would read here, or end the process for."""
     if os.path.exists(NUMBA_FILE):
         raise InputError(
             f"{NUMBA_FILE}: numba would read this file of the current folder; change to another "
@@ -57,8 +53,7 @@ def _check_environment() -> None:
 def _use_own_style() -> None:
     """Lets no `matplotlibrc` of the current folder or of the user's change a figure.
 
-    Raises:
-        InputError: matplotlib cannot read that of the current folder, which it reads first of all.
+    Raises an `InputError` if matplotlib cannot read that of the current folder, its first choice.
     """
     os.environ["MPLBACKEND"] = "agg"  # commands draw into files
     package = find_spec("matplotlib")

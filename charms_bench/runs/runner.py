@@ -118,10 +118,10 @@ def run(
         for shard, task in tasks.items():
             if folder.is_whole(shard):
                 finish(shard)
-                continue
-            missing[task] = shard
-            if folder.has(shard):
-                notice(f"{task.title}: changed since they were written; simulated again")
+            else:
+                missing[task] = shard
+                if folder.has(shard):
+                    notice(f"{task.title}: changed since they were written; simulated again")
 
         _note_replaced(suite, before, folder.finished(), missing.values(), notice)
         fail = note_failures(suite, failed, notice, missing)
@@ -136,8 +136,7 @@ def run(
                 raise combined(suite, failed)
         except CharmsBenchError as error:
             if folder.finished():
-                kept = f"finished shards are in {output}"
-                error.add_note(f"{kept}; the same command continues there")
+                error.add_note(f"finished shards are in {output}; the same command continues there")
             raise
         # A cell that could not be planned keeps its rows; another that failed has none of before.
         places, planned = places_of(suite, engine), {shard.cell for shard in tasks}
