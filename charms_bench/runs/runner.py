@@ -73,10 +73,11 @@ def run(
     A cell whose agents or traffic model fail does not end the run: it is one of `failed`. On a
     cluster it does, because a failed plugin may have changed the process, which is not ours to end.
 
+    Other arguments are those of `charms_bench.run`.
+
     Args:
         suite: What to run.
         output: The run folder. An interrupted run in it is continued.
-        engine, workers, rows, shard_limit_s, notice, shorten: As in `charms_bench.run`.
         progress: Called for every finished shard, first for those already in the folder.
         cluster: Simulates the shards elsewhere than on this machine; see `cluster.on_cluster`.
         on_cell: Called for every cell that is finished, with its index and its rows.
