@@ -30,10 +30,6 @@ PLUGIN_ERRORS = (Exception, SystemExit)
 """What a plugin may raise; Ctrl-C is not among these."""
 
 
-class RenamedKeyWarning(FutureWarning):
-    """A file has a key under its old name, which is still read."""
-
-
 class CharmsBenchError(Exception):
     """The base class of these errors; the text is the complete message.
 

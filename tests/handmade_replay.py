@@ -33,8 +33,9 @@ def replay_of(
         for name in ("x", "y", "heading", "speed", "acceleration", "length", "width")
     }
     lane = np.broadcast_to(fields.get("lane", np.round(floats["y"] / 4)), shape).astype(int)
+    lengths = dict.fromkeys(("length", "leader_length", "follower_length"), 5.0)
     rows = [
-        {"episode": 7, "step": k, "speed": 25.0, "acceleration": 0.0, "lane": 1, **row}
+        {"episode": 7, "step": k, "speed": 25.0, "acceleration": 0.0, "lane": 1, **lengths, **row}
         for k, row in enumerate(steps or [{}], start=1)
     ]
     head = {"episode": 7, "ending": ending, "steps": len(rows), "duration_s": len(rows) / 3}

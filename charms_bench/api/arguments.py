@@ -1,18 +1,74 @@
 """What the functions of the Python interface take."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute
+from charms_bench.foundation.names import name_of_agent
+from charms_bench.plugins.registry import AGENTS, find
+from charms_bench.runs.document import Document
+from charms_bench.runs.suite import Suite, check_networks, suite_of
 
 PathLike = str | Path
 
 
 def check_positive(**options: float | None) -> None:
-    """Refuses options that are given and not above 0.
-
-    Raises:
-        InputError: One of them is not above 0.
-    """
+    """Raises an `InputError` if one of the options is given and not above 0."""
     for name, value in options.items():
         if value is not None and value <= 0:
             raise InputError(f"{name} is {value}; expected a number above 0")
+
+
+class Asked(NamedTuple):
+    """An evaluation that a user asks for."""
+
+    document: Document
+    suite: Suite
+    name: str
+    """The name of the folder by default."""
+    folder: Path
+
+
+def asked(
+    suite: PathLike,
+    output: PathLike | None,
+    agents: Sequence[str],
+    kind: str = "",
+    **changes: int | None,
+) -> Asked:
+    """Reads a suite with some keys changed and agents added to its egos.
+
+    `kind` follows the name of the suite in that of the folder. A `CharmsBenchError` says why the
+    suite, an agent or a network cannot be used.
+    """
+    document = evaluation_in(suite)
+    document.data |= {key: value for key, value in changes.items() if value is not None}
+    added = [ego_entry(agent) for agent in agents]
+    if added and isinstance(document.data.get("egos"), list):
+        document.data["egos"] = document.data["egos"] + added
+    # Before plugins are imported, which can change the current folder.
+    place = absolute(output or "runs")
+    loaded = suite_of(document)
+    check_networks(document, loaded)
+    name = "-".join((loaded.suite + kind, *(name_of_agent(ego["label"]) for ego in added)))
+    return Asked(document, loaded, name, place if output else place / name)
+
+
+def evaluation_in(suite: PathLike) -> Document:
+    """The document of a suite; raises an `InputError` if it is one of a training."""
+    document = Document(Path(suite))
+    if "pipeline" in document.data:
+        raise InputError(f"{suite}: is a training suite; use charms_bench.train")
+    return document
+
+
+def ego_entry(agent: str) -> dict[str, str]:
+    """The entry of a suite for an installed agent or a network's path; raises an `InputError`."""
+    path = Path(agent)
+    if path.suffix != ".onnx":
+        return {"agent": find(AGENTS, agent).name, "label": agent}
+    if not path.is_file():
+        raise InputError(f"{agent}: {'is not a file' if path.exists() else 'no such file'}")
+    return {"agent": str(absolute(path)), "label": path.stem}

@@ -2,27 +2,23 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.api.arguments import PathLike, asked, check_positive, ego_entry, evaluation_in
 from charms_bench.api.results import Run
 from charms_bench.api.warming import note_roads, warm_up
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute
-from charms_bench.foundation.names import name_of_agent
 from charms_bench.people.reference import read_references
-from charms_bench.plugins.registry import AGENTS, find
 from charms_bench.plugins.specs import drivers_of, networks_of
 from charms_bench.report.progress import note, progress
 from charms_bench.runs import runner
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
 from charms_bench.runs.resumable_folder import RunFolder
 from charms_bench.runs.runner import SHARD_LIMIT_S
-from charms_bench.runs.suite import Suite, check_networks, suite_of
+from charms_bench.runs.suite import Suite, suite_of
 
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation
@@ -75,19 +71,9 @@ def run(
         raise InputError("a cluster runs the engine 'batched'; 'highway-env' runs on this machine")
     if cluster is not None and workers is not None:
         raise InputError("workers are processes on this machine; a cluster has its own")
-    document = Document(Path(suite))
-    if "pipeline" in document.data:
-        raise InputError(f"{suite}: is a training suite; use charms_bench.train")
-    changes = {"episodes": episodes, "seed": seed}
-    document.data |= {name: value for name, value in changes.items() if value is not None}
-    added = add_egos(document, agents)
-    # Before plugins are imported, which can change the current folder.
-    place, taken = absolute(output or "runs"), None if rows is None else absolute(rows)
-    loaded = suite_of(document)
-    check_networks(document, loaded)
+    taken = None if rows is None else absolute(rows)
+    _, loaded, _, folder = asked(suite, output, agents, episodes=episodes, seed=seed)
     references = read_references(loaded.references, loaded.folder)
-    name = "-".join((loaded.suite, *(name_of_agent(ego["label"]) for ego in added)))
-    folder = place if output else place / name
     if engine == "batched" and cluster is None:
         warm_up()
         note_roads(loaded)
@@ -123,10 +109,7 @@ def run(
             following = finished.following() if references else []
             measured = [cells[index].result() for index in sorted(cells)]
             write_run(loaded, folder, measured, following, references)
-        if finished.failed:
-            error = runner.combined(loaded, finished.failed)
-            error.add_note(runner.unfinished(len(finished.failed), len(loaded.cells), folder))
-            raise error
+        runner.raise_failed(loaded, finished.failed, folder)
     except KeyboardInterrupt as interrupt:
         if RunFolder(folder).finished():
             interrupt.add_note(f"finished shards are in {folder}")
@@ -146,10 +129,8 @@ def cell_of(suite: PathLike, agent: str, traffic: str | None) -> "tuple[Simulati
     """
     from charms_bench.engine.simulation import Simulation
 
-    document = Document(Path(suite))
-    if "pipeline" in document.data:
-        raise InputError(f"{suite}: is a training suite; expected an evaluation")
-    document.data["egos"] = [_ego(agent)]
+    document = evaluation_in(suite)
+    document.data["egos"] = [ego_entry(agent)]
     for name in ("preventable_by", "pairs", "references"):  # of the egos of the suite
         document.data.pop(name, None)
     loaded = suite_of(document)
@@ -169,32 +150,6 @@ def cell_of(suite: PathLike, agent: str, traffic: str | None) -> "tuple[Simulati
     networks = networks_of(ego, around, loaded.folder)
     agents = {each.key: each.make(networks) for each in drivers_of(ego, around)}
     return Simulation(cell.scene, 1, ego.key, around, agents), cell.title, loaded.seed
-
-
-def add_egos(document: Document, agents: Sequence[str]) -> list[dict[str, str]]:
-    """Adds installed agents or paths of networks to the egos of a suite; returns their entries.
-
-    Raises:
-        InputError: There is no such agent or file.
-    """
-    added = [_ego(agent) for agent in agents]
-    if added and isinstance(document.data.get("egos"), list):
-        document.data["egos"] = document.data["egos"] + added
-    return added
-
-
-def _ego(agent: str) -> dict[str, str]:
-    """The entry of a suite for an installed agent or the path of a network.
-
-    Raises:
-        InputError: There is no such agent or file.
-    """
-    path = Path(agent)
-    if path.suffix != ".onnx":
-        return {"agent": find(AGENTS, agent).name, "label": agent}
-    if not path.is_file():
-        raise InputError(f"{agent}: {'is not a file' if path.exists() else 'no such file'}")
-    return {"agent": str(absolute(path)), "label": path.stem}
 
 
 def _measure(suite: Suite, rows: CellRows) -> "MeasuredCell":

@@ -1,19 +1,14 @@
 """Searches a scenario for failures of an agent."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from charms_bench.api.arguments import PathLike, check_positive
-from charms_bench.api.evaluation import add_egos
+from charms_bench.api.arguments import PathLike, asked, check_positive
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, ScenarioError
-from charms_bench.foundation.files import absolute
-from charms_bench.foundation.names import name_of_agent
 from charms_bench.report.progress import progress
-from charms_bench.runs.document import Document
 from charms_bench.runs.manifest import opened_for_suite
 from charms_bench.runs.shard import forget_agents
-from charms_bench.runs.suite import Cell, check_networks, suite_of
+from charms_bench.runs.suite import Cell
 
 if TYPE_CHECKING:
     from charms_bench.episodes.search import Search
@@ -55,16 +50,11 @@ def search(
     from charms_bench.episodes.search import FOUND, MANIFEST, Search, ego_of, scenario_of
 
     check_positive(failures=failures, budget=budget)
-    document = Document(Path(suite))
     if agent is not None and ego is not None:
         raise InputError("give either an ego of the suite or an agent")
-    added = add_egos(document, () if agent is None else (agent,))
-    ego = added[0]["label"] if added else ego
-    place = absolute(output or "runs")
-    loaded = suite_of(document)
-    names = (f"{loaded.suite}-search", *(name_of_agent(each["label"]) for each in added))
-    folder = place if output else place / "-".join(names)
-    check_networks(document, loaded)
+    agents = [] if agent is None else [agent]
+    document, loaded, _, folder = asked(suite, output, agents, "-search")
+    ego = loaded.egos[-1].title if agents else ego
     index = scenario_of(document.path, loaded, traffic)
     references = [each for each in loaded.egos if each.title in loaded.preventable_by]
     entry = loaded.traffics[index]
@@ -73,12 +63,12 @@ def search(
     made = Search(cell, references, loaded.folder, folder)
     made.found = lambda: write_found(made, document, index, folder / FOUND)
     warm_up()
-    asked: dict[str, object] = {"ego": cell.ego.title, "traffic": entry.title, "seed": seed}
-    asked["preventable_by"] = [each.title for each in references]
+    sought: dict[str, object] = {"ego": cell.ego.title, "traffic": entry.title, "seed": seed}
+    sought["preventable_by"] = [each.title for each in references]
     forget_agents()
     try:
         with (
-            opened_for_suite(folder, MANIFEST, "search", loaded, {"search": asked}),
+            opened_for_suite(folder, MANIFEST, "search", loaded, {"search": sought}),
             progress("episodes", budget) as tell,
         ):
             made.told = lambda episodes: tell(cell.ego.title, episodes)

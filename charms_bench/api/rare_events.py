@@ -7,16 +7,10 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from charms_bench.api.arguments import PathLike, check_positive
-from charms_bench.api.evaluation import add_egos
+from charms_bench.api.arguments import PathLike, asked, check_positive
 from charms_bench.api.warming import note_roads, warm_up
-from charms_bench.errors import InputError
-from charms_bench.foundation.files import absolute
-from charms_bench.foundation.names import name_of_agent
 from charms_bench.report.progress import note, progress
-from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
-from charms_bench.runs.suite import check_networks, suite_of
 
 if TYPE_CHECKING:
     from charms_bench.report.table import Table
@@ -84,16 +78,12 @@ def rare(
     """
     from charms_bench.runs.rare import check_sizes, run_rare
     from charms_bench.runs.rare_task import event_of
-    from charms_bench.runs.runner import combined, unfinished
+    from charms_bench.runs.runner import raise_failed
 
     check_positive(workers=workers)
-    document = Document(Path(suite))
-    if "pipeline" in document.data:
-        raise InputError(f"{suite}: is a training suite; expected an evaluation")
-    place = absolute(output or "runs")
-    document.data |= {} if seed is None else {"seed": seed}
-    added = add_egos(document, agents)
-    loaded, definition = suite_of(document), event_of(event).definition
+    kind = f"-rare-{event.partition(':')[0]}"
+    document, loaded, name, folder = asked(suite, output, agents, kind, seed=seed)
+    definition = event_of(event).definition
     if loaded.scene.recording is not None:
         what = "rare draws where vehicles start, and recordings place them; remove it"
         raise document.error(("scene", "recording"), what)
@@ -104,15 +94,7 @@ def rare(
                 "model"
             )
             raise document.error(("traffic_models", index, "traffic", "scenario"), what)
-    check_networks(document, loaded)
     check_sizes(loaded, runs, samples)
-    name = "-".join(
-        (
-            f"{loaded.suite}-rare-{event.partition(':')[0]}",
-            *(name_of_agent(ego["label"]) for ego in added),
-        )
-    )
-    folder = place if output else place / name
     warm_up()
     note_roads(loaded)
     try:
@@ -133,10 +115,7 @@ def rare(
         table = rare_table(loaded, name, definition, samples, cells)
         with locked(folder):
             write_table(folder, table)
-        if failed:
-            error = combined(loaded, failed)
-            error.add_note(unfinished(len(failed), len(loaded.cells), folder))
-            raise error
+        raise_failed(loaded, failed, folder)
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(f"finished runs are in {folder}")
         raise

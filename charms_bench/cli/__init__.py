@@ -8,7 +8,6 @@ import os
 import signal
 import sys
 import traceback
-import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,12 +21,12 @@ from charms_bench.cli.terminal import (
     err,
     say,
 )
-from charms_bench.errors import CharmsBenchError, InputError, RenamedKeyWarning, named
+from charms_bench.errors import CharmsBenchError, InputError, named
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.streams import write_reliably
 
 # In the order of `--help`. Importing a module adds its commands to `app`.
-from charms_bench.cli import evaluations, rare, episodes, watching, plugins, engines, data  # isort: skip # noqa: F401
+from charms_bench.cli import evaluations, episodes, watching, plugins, engines, data  # isort: skip # noqa: F401
 
 MESSAGE_LIMIT = 1000
 """Characters of an error message: a file from outside can make it very long."""
@@ -37,11 +36,7 @@ NUMBA_FILE = ".numba_config.yaml"
 
 
 def _check_environment() -> None:
-    """Names what a library would read from the current folder, or end the process for.
-
-    Raises:
-        InputError: There is such a file, or an environment variable is not a number.
-    """
+    """Raises an `InputError` for what a library would read here, or end the process for."""
     if os.path.exists(NUMBA_FILE):
         raise InputError(
             f"{NUMBA_FILE}: numba would read this file of the current folder; change to another "
@@ -58,8 +53,7 @@ def _check_environment() -> None:
 def _use_own_style() -> None:
     """Lets no `matplotlibrc` of the current folder or of the user's change a figure.
 
-    Raises:
-        InputError: matplotlib cannot read that of the current folder, which it reads first of all.
+    Raises an `InputError` if matplotlib cannot read that of the current folder, its first choice.
     """
     os.environ["MPLBACKEND"] = "agg"  # commands draw into files
     package = find_spec("matplotlib")
@@ -75,24 +69,6 @@ def _use_own_style() -> None:
                 f"({named(error)}); correct it, or change to another folder"
             ) from error
         matplotlib.rcdefaults()
-
-
-def _show_hints_alone() -> None:
-    """Hints about a user's file are printed without the line of code that gives them."""
-    formatted = warnings.formatwarning
-
-    def hint(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        line: str | None = None,
-    ) -> str:
-        if issubclass(category, RenamedKeyWarning):
-            return f"{message}\n"
-        return formatted(message, category, filename, lineno, line)
-
-    warnings.formatwarning = hint
 
 
 def _arguments(words: list[str]) -> list[str]:
@@ -135,7 +111,6 @@ def main() -> None:
     try:
         _check_environment()
         _use_own_style()
-        _show_hints_alone()
         try:
             with ended_by_second_signal():
                 app(_arguments(sys.argv[1:]))

@@ -6,53 +6,41 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     DATA,
     EgoLabel,
     FigurePath,
     Json,
+    Recordings,
     RunPath,
     SuiteFolder,
     TrafficLabel,
     app,
+    end_with_json,
     err,
     interruptible,
-    print_json,
     print_records,
     print_table,
     say,
     shown,
 )
+from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute, write_bytes
 from charms_bench.foundation.words import counted
 
 
 @app.command(rich_help_panel=DATA)
-def data(
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RECORDINGS",
-            help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
-            "of I-24 or I-75.",
-        ),
-    ],
-    figure: FigurePath = None,
-    as_json: Json = False,
-) -> None:
+def data(recordings: Recordings, figure: FigurePath = None, as_json: Json = False) -> None:
     """Summarise recordings of human driving."""
-    from charms_bench.errors import InputError
-    from charms_bench.foundation.files import absolute
     from charms_bench.people.survey import OFF_CENTRE_M, survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
-    from charms_bench.report.figures.drawing import check_figure, save
+    from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.recordings import draw
     from charms_bench.report.progress import progress
     from charms_bench.world.recording_folder import find_trios
 
-    folder = absolute(folder)
-    if figure is not None:
-        check_figure(figure)
-        figure = absolute(figure)
+    folder = absolute(recordings)
     if folder.suffix == ".parquet":
         if figure is not None:
             raise InputError(f"{folder}: is a table of trips; --figure is for other recordings")
@@ -66,9 +54,9 @@ def data(
         save(draw(found, learnable), figure)
     facts = found.facts()
     if as_json:
-        print_json({**facts, "samplers": {name: asdict(each) for name, each in learnable.items()}})
-        return
-    _print_facts(facts)
+        samplers = {name: asdict(each) for name, each in learnable.items()}
+        end_with_json({**facts, "samplers": samplers})
+    _print_facts(_facts(facts))
     if abs(facts["offset_mean_m"] or 0.0) > OFF_CENTRE_M:
         side = "right" if facts["offset_mean_m"] > 0 else "left"
         say(
@@ -103,19 +91,22 @@ def _print_trips(path: Path, as_json: bool) -> None:
         "time_gap_mean_s": float(time_headway(gap, speed).mean()),
     }
     if as_json:
-        print_json(facts)
-        return
-    forms = {"following_h": "z.2f", "speed_mean_mps": "z.1f", "gap_mean_m": "z.1f"}
-    records = [
-        {"fact": name.replace("_", " "), "found": f"{value:{forms.get(name, 'z.2f')}}"}
-        if isinstance(value, float)
-        else {"fact": name, "found": f"{value:,}"}
-        for name, value in facts.items()
-    ]
+        end_with_json(facts)
+    forms = dict.fromkeys(("drivers", "trips"), ",")
+    forms |= dict.fromkeys(("speed_mean_mps", "gap_mean_m"), "z.1f")
+    _print_facts(
+        {name.replace("_", " "): f"{n:{forms.get(name, 'z.2f')}}" for name, n in facts.items()}
+    )
+
+
+def _print_facts(facts: dict[str, str]) -> None:
+    records = [{"fact": fact, "found": value} for fact, value in facts.items()]
     print_records("fact", records, {"found": ""})
 
 
-def _print_facts(found: dict[str, Any]) -> None:
+def _facts(found: dict[str, Any]) -> dict[str, str]:
+    """The facts of a survey in words, by what they are about."""
+
     def quantiles(values: dict[str, float | None]) -> str:
         return ", ".join(
             f"{float(q):z.0%} {value:z.1f}" for q, value in values.items() if value is not None
@@ -126,7 +117,7 @@ def _print_facts(found: dict[str, Any]) -> None:
         f"{n} with {counted(int(lanes), 'lane')}" for lanes, n in found["carriageways"].items()
     )
     speeds = quantiles(found["speed_quantiles_mps"])
-    facts = {
+    return {
         "recordings": f"{found['recordings']:,} at {rates} Hz, {found['recorded_h']:z.2f} h",
         "vehicles": ", ".join(counted(found[f"{each}s"], each) for each in ("car", "truck", "row")),
         "carriageways": lanes,
@@ -137,8 +128,6 @@ def _print_facts(found: dict[str, Any]) -> None:
         "following, m": quantiles(found["following_distance_m"]) or "no vehicle follows another",
         "decisions": f"{found['decisions']:,}",
     }
-    records = [{"fact": fact, "found": value} for fact, value in facts.items()]
-    print_records("fact", records, {"found": ""})
 
 
 def _print_learnable(name: str, found: Any) -> None:
@@ -158,36 +147,24 @@ def _print_learnable(name: str, found: Any) -> None:
 
 @app.command(rich_help_panel=DATA)
 def calibrate(
-    recordings: Annotated[
-        Path,
-        typer.Argument(
-            help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
-            "of I-24 or I-75."
-        ),
-    ],
-    to: Annotated[
-        Path | None,
-        typer.Option(
-            help="New file NAME.json for the population, from which the agent human draws drivers."
-        ),
-    ] = None,
+    recordings: Recordings,
+    to: Path | None = typer.Option(
+        None,
+        help="New file NAME.json for the population, from which the agent human draws drivers.",
+    ),
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
     """Fit drivers to recordings, and predict held-out drivers."""
-    from charms_bench.errors import InputError
-    from charms_bench.foundation.files import absolute, write_bytes
     from charms_bench.people.calibrated import calibrate as calibrated
     from charms_bench.people.held_out import HORIZONS_S
     from charms_bench.people.lane_choices import FEWEST_CHANGES, fit_choices, read_choices
     from charms_bench.people.trips import read_trips
-    from charms_bench.report.figures.drawing import check_figure, save
+    from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.predictive import draw
     from charms_bench.report.progress import note
 
     recordings = absolute(recordings)
-    if figure is not None:
-        check_figure(figure)
     if to is not None and (to.suffix != ".json" or to.exists()):
         what = "exists already" if to.suffix == ".json" else "does not end in .json"
         raise InputError(f"{to}: {what}; expected the name of a new file that ends in .json")
@@ -202,8 +179,7 @@ def calibrate(
     if figure is not None:
         save(draw(found), figure)
     if as_json:
-        print_json({"population": population.model_dump(), "held_out": found.records()})
-        return
+        end_with_json({"population": population.model_dump(), "held_out": found.records()})
     forms = dict.fromkeys(("median", "spread", "identified"), "")
     print_records("parameter", found.parameters(), forms)
     if changes is None:
@@ -236,54 +212,36 @@ def calibrate(
 @app.command(rich_help_panel=DATA)
 def likeness(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
-    recordings: Annotated[
-        Path,
-        typer.Argument(
-            help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
-            "of I-24 or I-75."
-        ),
-    ],
-    population: Annotated[
-        str,
-        typer.Option(
-            help="Population that was fitted to these recordings: i24, i75, or a JSON file of "
-            "`charms-bench calibrate`."
-        ),
-    ],
-    half: Annotated[
-        Literal["both", "selection", "test"],
-        typer.Option(
-            help="Compare with the first, third, ... of the held-out drivers (selection), or with "
-            "the others (test), to select an agent by some drivers and report it on others."
-        ),
-    ] = "both",
-    controls: Annotated[
-        bool,
-        typer.Option(
-            "--controls",
-            help="Also score drivers with known faults, such as copied accelerations, to see what "
-            "the score tells apart on these recordings.",
-        ),
-    ] = False,
+    recordings: Recordings,
+    population: str = typer.Option(
+        help="Population that was fitted to these recordings: i24, i75, or a JSON file of "
+        "`charms-bench calibrate`."
+    ),
+    half: Literal["both", "selection", "test"] = typer.Option(
+        "both",
+        help="Compare with the first, third, ... of the held-out drivers (selection), or with "
+        "the others (test), to select an agent by some drivers and report it on others.",
+    ),
+    controls: bool = typer.Option(
+        False,
+        "--controls",
+        help="Also score drivers with known faults, such as copied accelerations, to see what "
+        "the score tells apart on these recordings.",
+    ),
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
     """Score how much egos and traffic drive like recorded drivers."""
-    from charms_bench.foundation.files import absolute
     from charms_bench.people.population import read_population
-    from charms_bench.report.figures.drawing import check_figure, save
+    from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.likeness import draw
     from charms_bench.report.likeness_table import likeness_tables
     from charms_bench.report.progress import note
     from charms_bench.runs.likeness import likeness as scored
     from charms_bench.runs.likeness import likeness_of_controls, standard
-    from charms_bench.runs.packaged import suite_file
     from charms_bench.runs.suite import load_suite
 
-    if figure is not None:
-        check_figure(figure)
-        figure = absolute(figure)
-    read = load_suite(suite_file(suite))
+    read = load_suite(suite)
     rows, of_controls = [], []
     with interruptible():
         against = standard(read, absolute(recordings), read_population(population), half)
@@ -296,8 +254,7 @@ def likeness(
     if figure is not None:
         save(draw(rows), figure)
     if as_json:
-        print_json([asdict(each) for each in (*rows, *of_controls)])
-        return
+        end_with_json([asdict(each) for each in (*rows, *of_controls)])
     for table in likeness_tables(rows, of_controls):
         print_table(table)
     if figure is not None:
@@ -307,36 +264,30 @@ def likeness(
 @app.command(rich_help_panel=DATA)
 def dataset(
     run: RunPath,
-    kind: Annotated[
-        Literal["minari", "highd", "parquet"],
-        typer.Option(
-            "--format",
-            help="minari: observations, actions and rewards of the ego. highd: trajectories of all "
-            "vehicles in highD's format. parquet: their states at every simulation step.",
-        ),
-    ],
+    kind: Literal["minari", "highd", "parquet"] = typer.Option(
+        ...,
+        "--format",
+        help="minari: observations, actions and rewards of the ego. highd: trajectories of all "
+        "vehicles in highD's format. parquet: their states at every simulation step.",
+    ),
     ego: EgoLabel = None,
     traffic: TrafficLabel = None,
-    episodes: Annotated[
-        int | None,
-        typer.Option(min=1, help="Number of episodes, from the first; the default is all."),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option(help="New folder; the default is one in the run folder.")
-    ] = None,
+    episodes: int | None = typer.Option(
+        None, min=1, help="Number of episodes, from the first; the default is all."
+    ),
+    output: Path | None = typer.Option(
+        None, help="New folder; the default is one in the run folder."
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
     """Write the episodes of a run as a dataset for other tools."""
-    from charms_bench import api
-
-    opened = api.open_run(run, suite_folder)
+    opened = charms_bench.open_run(run, suite_folder)
     with interruptible():
         path = opened.dataset(kind, output, ego=ego, traffic=traffic, episodes=episodes)
     written = episodes or opened.suite.episodes
     if as_json:
-        print_json({"format": kind, "episodes": written, "folder": str(path)})
-        return
+        end_with_json({"format": kind, "episodes": written, "folder": str(path)})
     say(f"{counted(written, 'episode')}: {path}")
     if kind == "minari":
         say(f"minari.load_dataset('{path.name}') loads it if MINARI_DATASETS_PATH={path.parent}")

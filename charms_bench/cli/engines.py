@@ -2,19 +2,21 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     ENGINE,
     FAIL,
     Json,
     Workers,
     app,
+    drawable,
+    end_with_json,
     err,
     interruptible,
-    print_json,
     print_records,
     say,
 )
@@ -32,24 +34,20 @@ Road = Annotated[
 
 @app.command(rich_help_panel=ENGINE)
 def verify(
-    suite: Annotated[
-        Path | None,
-        typer.Option(help="Compare the engines in this suite instead of the built-in cases."),
-    ] = None,
-    episodes: Annotated[
-        int | None, typer.Option(min=1, max=1_000_000, help="Number of episodes per case.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**62, help="Seed of the first episode.")] = 0,
-    continuous: Annotated[
-        bool,
-        typer.Option(
-            "--continuous", help="Drive the egos with random accelerations and steering angles."
-        ),
-    ] = False,
+    suite: Path | None = typer.Option(
+        None, help="Compare the engines in this suite instead of the built-in cases."
+    ),
+    episodes: int | None = typer.Option(
+        None, min=1, max=1_000_000, help="Number of episodes per case."
+    ),
+    seed: int = typer.Option(0, min=0, max=2**62, help="Seed of the first episode."),
+    continuous: bool = typer.Option(
+        False, "--continuous", help="Drive the egos with random accelerations and steering angles."
+    ),
     road: Road = None,
-    starts: Annotated[
-        bool, typer.Option("--starts", help="Compare only the starts of the episodes of --road.")
-    ] = False,
+    starts: bool = typer.Option(
+        False, "--starts", help="Compare only the starts of the episodes of --road."
+    ),
     workers: Workers = None,
     as_json: Json = False,
 ) -> None:
@@ -57,7 +55,6 @@ def verify(
 
     Both use the same elementary functions. The exit code is 1 if the engines differ.
     """
-    from charms_bench.api.warming import warm_up
     from charms_bench.report.progress import progress
     from charms_bench.runs.document import Document
     from charms_bench.runs.suite import check_networks, suite_of
@@ -67,7 +64,6 @@ def verify(
         if suite is not None or continuous:
             raise InputError("--road excludes --suite and --continuous")
         _verify_road(_known(road), episodes or 20, seed, starts, workers, as_json)
-        return
     if starts:
         raise InputError("--starts needs --road")
     if suite is None:
@@ -80,40 +76,34 @@ def verify(
         check_networks(document, loaded)
         cases, count = verification.cases_of(loaded), 10
     count = episodes or count
-    warm_up()
+    charms_bench.warm_up()
     with progress("episodes", count * len(cases)) as bar:
         results = verification.verify(cases, count, seed, workers, lambda done: bar("", done))
     differing = sum(len(result.differences) for result in results)
+    records = [{**asdict(each), "case": each.case.title} for each in results]
+    code = FAIL if differing else 0
     if as_json:
-        print_json([{**asdict(result), "case": result.case.title} for result in results])
-    else:
-        forms = dict.fromkeys(("episodes", "steps", "lane_changes", "crashed"), ",.0f")
-        forms |= {"largest": ".1e", "differing": ".0f"}
-        records = [
-            {**vars(r), "case": r.case.title, "differing": len(r.differences)} for r in results
-        ]
-        print_records("case", records, forms)
-        for r in results:
-            for d in r.differences:
-                say(
-                    f"{r.case.title}: episode {d.episode}, simulation step {d.step}, vehicle "
-                    f"{d.vehicle}: {d.quantity} {d.batched!r} (batched), {d.highway_env!r} "
-                    "(highway-env)"
-                )
-        total = sum(r.episodes for r in results)
-        verdict = (
-            f"{differing} of {counted(total, 'episode')} differ"
-            if differing
-            else "the engines agree"
-        )
-        say(f"{counted(total, 'episode')}: {verdict}.")
-    if differing:
-        raise typer.Exit(FAIL)
+        end_with_json(records, code)
+    forms = dict.fromkeys(("episodes", "steps", "lane_changes", "crashed"), ",.0f")
+    forms |= {"largest": ".1e", "differing": ".0f"}
+    counts = [each | {"differing": len(each["differences"])} for each in records]
+    print_records("case", counts, forms)
+    for r in results:
+        for d in r.differences:
+            say(
+                f"{r.case.title}: episode {d.episode}, simulation step {d.step}, vehicle "
+                f"{d.vehicle}: {d.quantity} {d.batched!r} (batched), {d.highway_env!r} "
+                "(highway-env)"
+            )
+    total = counted(sum(r.episodes for r in results), "episode")
+    verdict = f"{differing} of {total} differ" if differing else "the engines agree"
+    say(f"{total}: {verdict}.")
+    raise typer.Exit(code)
 
 
 def _verify_road(
     road: str, episodes: int, seed: int, starts: bool, workers: int | None, as_json: bool
-) -> None:
+) -> NoReturn:
     from charms_bench.report.progress import progress
     from charms_bench.testing.road_parity import MOST_DECISIONS, verify_road
 
@@ -122,14 +112,15 @@ def _verify_road(
         found = verify_road(
             road, episodes, seed, workers, lambda done: bar("", done), decisions=decisions
         )
-    record = {**asdict(found), "differing": len(found.differing)}
+    records = [{**asdict(found), "differing": len(found.differing)}]
+    code = FAIL if found.differing else 0
+    if as_json:
+        end_with_json(records, code)
     forms = dict.fromkeys(("episodes", "decisions", "crashed", "differing"), ",.0f")
-    forms |= {"largest": ".1e", "largest_at_start": ".1e"}
-    print_records("name", [record], forms, as_json)
-    for each in () if as_json else found.differing:
+    print_records("name", records, forms | {"largest": ".1e", "largest_at_start": ".1e"})
+    for each in found.differing:
         say(each)
-    if found.differing:
-        raise typer.Exit(FAIL)
+    raise typer.Exit(code)
 
 
 def _known(road: str) -> str:
@@ -147,51 +138,38 @@ def compile_engine() -> None:
 
     It is compiled once for each installation, for the processor of this machine.
     """
-    from charms_bench import api
-
     with interruptible():
-        compiled = api.warm_up()
+        compiled = charms_bench.warm_up()
     say("The engine is compiled." if compiled else "The engine was compiled before.")
 
 
 @app.command(rich_help_panel=ENGINE)
 def bench(
     context: typer.Context,
-    vehicles: Annotated[
-        int, typer.Option(min=6, max=2001, help="Vehicles per scene, including the ego.")
-    ] = 21,
-    traffic: Annotated[
-        str, typer.Option(help="Traffic model of the compiled engine.")
-    ] = "idm_mobil",
-    seconds: Annotated[
-        float, typer.Option(min=0.1, max=3600, help="Duration of each measurement.")
-    ] = 2.0,
-    rounds: Annotated[
-        int, typer.Option(min=1, max=1000, help="Number of measurements per engine.")
-    ] = 3,
-    environments: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=10_000,
-            help="Measure Gymnasium vector environments of this size instead of engines.",
-        ),
-    ] = None,
-    learners: Annotated[
-        bool,
-        typer.Option(
-            help="Measure environments in which a program drives all vehicles with random actions; "
-            "the speed is in decisions of vehicles per second."
-        ),
-    ] = False,
+    vehicles: int = typer.Option(
+        21, min=6, max=2001, help="Vehicles per scene, including the ego."
+    ),
+    traffic: str = typer.Option("idm_mobil", help="Traffic model of the compiled engine."),
+    seconds: float = typer.Option(2.0, min=0.1, max=3600, help="Duration of each measurement."),
+    rounds: int = typer.Option(3, min=1, max=1000, help="Number of measurements per engine."),
+    environments: int | None = typer.Option(
+        None,
+        min=1,
+        max=10_000,
+        help="Measure Gymnasium vector environments of this size instead of engines.",
+    ),
+    learners: bool = typer.Option(
+        False,
+        help="Measure environments in which a program drives all vehicles with random actions; "
+        "the speed is in decisions of vehicles per second.",
+    ),
     road: Road = None,
-    scale: Annotated[
-        Path | None,
-        typer.Option(
-            help="Measure the compiled engine with 1 to all cores, 21 to 2,000 vehicles and 1 to "
-            "100,000 scenes instead, and draw the speeds to this file (.pdf, .png or .svg)."
-        ),
-    ] = None,
+    scale: Path | None = typer.Option(
+        None,
+        callback=drawable,
+        help="Measure the compiled engine with 1 to all cores, 21 to 2,000 vehicles and 1 to "
+        "100,000 scenes instead, and draw the speeds to this file (.pdf, .png or .svg).",
+    ),
     as_json: Json = False,
 ) -> None:
     """Measure environment steps and vehicle updates per second.
@@ -200,7 +178,6 @@ def bench(
     environment step is one decision of the ego. A vehicle update is one simulation step of one
     vehicle.
     """
-    from charms_bench.api.warming import warm_up
     from charms_bench.testing import bench as benchmark
 
     def tell(name: str) -> None:
@@ -218,44 +195,33 @@ def bench(
         return
     if scale is not None:
         _check_excluded(context, "--scale", "vehicles", "traffic", "environments", "learners")
-    warm_up()
+    charms_bench.warm_up()
     forms = {"vehicles": ",.0f", "threads": ".0f", "steps_per_s": ",.0f"}
     forms |= {"vehicle_updates_per_s": ",.0f", "ns_per_vehicle_step": ",.1f"}
     if scale is not None:
-        from charms_bench.foundation.files import absolute
-        from charms_bench.report.figures.drawing import check_figure, save
+        from charms_bench.report.figures.drawing import save
         from charms_bench.report.figures.scale import draw_scale
 
-        check_figure(scale)
-        figure = absolute(scale)
         records = [each.record() for each in benchmark.scale(seconds, rounds, tell)]
-        save(draw_scale(records), figure)
+        save(draw_scale(records), scale)
         print_records("name", records, {"scenes": ",.0f", **forms}, as_json)
         return
     results = benchmark.bench(vehicles, traffic, seconds, rounds, tell, environments, learners)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")
-    if learners:
-        records = [
-            {
-                "name": r.name,
-                "threads": r.threads,
-                "decisions_per_s": r.steps_per_s,
-                "low": r.low,
-                "high": r.high,
-                "times_highway_env": r.steps_per_s / base,
-            }
-            for r in results
-        ]
-        forms = {"threads": ".0f"} | dict.fromkeys(("decisions_per_s", "low", "high"), ",.0f")
-    else:
-        pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
-        records = [r.record() for r in results]
-        for record, r in zip(records, results, strict=True):
+    pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
+    records = []
+    for r in results:
+        times: dict[str, float | None] = {"times_highway_env": r.steps_per_s / base}
+        if learners:
+            speeds = {"decisions_per_s": r.steps_per_s, "low": r.low, "high": r.high}
+            records.append({"name": r.name, "threads": r.threads, **speeds, **times})
+        else:
             rival = pool.get((r.threads, r.vehicles))
-            record["times_highway_env"] = r.steps_per_s / base
-            record["times_envpool"] = rival and r.steps_per_s / rival
-    forms["times_highway_env"] = ",.1f"
-    forms |= {} if learners else {"times_envpool": ".2f"}
+            times["times_envpool"] = rival and r.steps_per_s / rival
+            records.append(r.record() | times)
+    if learners:
+        forms = {"threads": ".0f"} | dict.fromkeys(("decisions_per_s", "low", "high"), ",.0f")
+    forms |= {"times_highway_env": ",.1f"} | ({} if learners else {"times_envpool": ".2f"})
     print_records("name", records, forms, as_json)
 
 

@@ -1,4 +1,4 @@
-"""`edge-cases`, `replay`, `what-if` and `search`: single episodes."""
+"""`rare`, `edge-cases`, `replay`, `what-if` and `search`: failures, and single episodes."""
 
 from dataclasses import asdict
 from io import BytesIO
@@ -8,25 +8,32 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     FAILURES,
+    AnySuite,
+    EgoAgents,
     EgoLabel,
     Json,
     RunPath,
     SuiteFolder,
     TrafficLabel,
+    Workers,
     app,
+    end_with_json,
     interruptible,
-    print_json,
     print_records,
     print_table,
     say,
     shown,
 )
+from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute, write_bytes
 from charms_bench.foundation.words import counted
 
 if TYPE_CHECKING:
     from charms_bench.api import Run
+    from charms_bench.episodes.edge_cases import EdgeCase
 
 Episode = Annotated[
     int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
@@ -34,44 +41,87 @@ Episode = Annotated[
 
 
 @app.command(rich_help_panel=FAILURES)
+def rare(
+    suite: AnySuite,
+    agents: EgoAgents = None,
+    event: str = typer.Option(
+        "crash",
+        metavar="NAME[:OPTION=VALUE,...]",
+        help="Event: crash, ttc:below_s=1.0, or an event of a plugin.",
+    ),
+    runs: int = typer.Option(
+        10,
+        help="Independent runs per ego and traffic model, 5 to 1,000; more runs give a "
+        "narrower interval.",
+    ),
+    samples: int = typer.Option(
+        1000, help="Episodes per level of a run, a multiple of 5, at least 100."
+    ),
+    seed: int | None = typer.Option(
+        None, min=0, help="Seed of all random draws; overrides the suite."
+    ),
+    workers: Workers = None,
+    output: Path | None = typer.Option(
+        None, help="Folder; the default is runs/SUITE-rare-EVENT, and each --agent."
+    ),
+    as_json: Json = False,
+) -> None:
+    """Estimate the probability of a rare event, such as a crash.
+
+    The command uses subset simulation. The column `plain episodes` shows how many episodes of plain
+    simulation would give an interval as narrow. Finished runs are not repeated.
+    """
+    with interruptible():
+        made = charms_bench.rare(
+            suite,
+            event,
+            output,
+            agents=agents or (),
+            runs=runs,
+            samples=samples,
+            seed=seed,
+            workers=workers,
+        )
+    if as_json:
+        end_with_json(made.table.frame().to_dicts())
+    print_table(made.table.without_constant_keys(), stacked=True)
+    say(f"Written: {', '.join(map(shown, made.files))}")
+
+
+@app.command(rich_help_panel=FAILURES)
 def edge_cases(
     run: RunPath,
-    top: Annotated[
-        int, typer.Option(min=1, max=10_000_000, help="Maximum number of episodes to list.")
-    ] = 10,
-    kind: Annotated[
-        Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"] | None,
-        typer.Option(
-            help="List only this kind. In an abandoned lane change, another vehicle takes the gap."
-        ),
-    ] = None,
+    top: int = typer.Option(10, min=1, max=10_000_000, help="Maximum number of episodes to list."),
+    kind: Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]
+    | None = typer.Option(
+        None,
+        help="List only this kind. In an abandoned lane change, another vehicle takes the gap.",
+    ),
     ego: EgoLabel = None,
     traffic: TrafficLabel = None,
-    avoidable: Annotated[
-        bool,
-        typer.Option(
-            "--avoidable",
-            help="For each collision, state the last avoidable moment, and which "
-            "agents would have avoided it.",
-        ),
-    ] = False,
-    budget: Annotated[
-        int, typer.Option(min=1, help="For --avoidable: maximum number of decisions per collision.")
-    ] = 200_000,
+    avoidable: bool = typer.Option(
+        False,
+        "--avoidable",
+        help="For each collision, state the last avoidable moment, and which "
+        "agents would have avoided it.",
+    ),
+    budget: int = typer.Option(
+        200_000, min=1, help="For --avoidable: maximum number of decisions per collision."
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
     """Rank the episodes of a run by criticality."""
-    from charms_bench import api
-
-    opened = api.open_run(run, suite_folder)
+    opened = charms_bench.open_run(run, suite_folder)
+    if avoidable and kind not in (None, "collision"):
+        raise InputError(f"--avoidable is about collisions, not --kind {kind}")
+    cases = opened.edge_cases(top, "collision" if avoidable else kind, ego, traffic)
     if avoidable:
-        _print_avoidability(opened, top, kind, ego, traffic, budget, as_json)
+        _print_avoidability(opened, cases, budget, as_json)
         return
-    found = [asdict(case) for case in opened.edge_cases(top, kind, ego, traffic)]
+    found = [asdict(case) for case in cases]
     if as_json:
-        print_json(found)
-        return
+        end_with_json(found)
     if not found:
         say(f"No {kind} in {run}.")
         return
@@ -89,23 +139,12 @@ def edge_cases(
         say(remark)
 
 
-def _print_avoidability(
-    opened: "Run",
-    top: int,
-    kind: str | None,
-    ego: str | None,
-    traffic: str | None,
-    budget: int,
-    as_json: bool,
-) -> None:
-    """Prints what could have been done about the most critical collisions of the egos."""
-    from charms_bench.errors import InputError
+def _print_avoidability(opened: "Run", cases: "list[EdgeCase]", budget: int, as_json: bool) -> None:
+    """Prints what could have been done about collisions of the egos."""
     from charms_bench.report.avoidability_table import avoidability_table, rescuers_table
 
-    if kind not in (None, "collision"):
-        raise InputError(f"--avoidable is about collisions, not --kind {kind}")
     egos: dict[tuple[str, str], list[int]] = {}
-    for case in opened.edge_cases(top, "collision", ego, traffic):
+    for case in cases:
         if case.ending != "off_road":
             egos.setdefault((case.ego, case.traffic), []).append(case.episode)
     found = [
@@ -114,8 +153,7 @@ def _print_avoidability(
         for each in opened.avoidability(episodes, ego, around, budget)
     ]
     if as_json:
-        print_json([asdict(each) for each in found])
-        return
+        end_with_json([asdict(each) for each in found])
     if not found:
         say(f"No collision in {opened.path}.")
         return
@@ -129,25 +167,21 @@ def replay(
     episode: Episode,
     ego: EgoLabel = None,
     traffic: TrafficLabel = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OUT.gif", help="File of the animation; the trajectories are written beside it."
-        ),
-    ] = None,
-    commonroad: Annotated[
-        Path | None,
-        typer.Option(metavar="OUT.xml", help="Also write the episode as a CommonRoad scenario."),
-    ] = None,
+    output: Path | None = typer.Option(
+        None,
+        metavar="OUT.gif",
+        help="File of the animation; the trajectories are written beside it.",
+    ),
+    commonroad: Path | None = typer.Option(
+        None, metavar="OUT.xml", help="Also write the episode as a CommonRoad scenario."
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
     """Write an animation and the trajectories of an episode."""
-    from charms_bench import api
     from charms_bench.episodes.animation import check_animation
     from charms_bench.episodes.commonroad import check_commonroad
     from charms_bench.episodes.dataset import name_of
-    from charms_bench.foundation.files import absolute, write_bytes
 
     if output is not None:
         check_animation(output)
@@ -155,7 +189,7 @@ def replay(
     if commonroad is not None:
         check_commonroad(commonroad)
         commonroad = absolute(commonroad)
-    opened = api.open_run(run, suite_folder)
+    opened = charms_bench.open_run(run, suite_folder)
     replayed = opened.replay(episode, ego, traffic)
     driver, around = replayed.cell.ego.title, replayed.cell.traffic.title
     name = f"{name_of(opened.suite, replayed.cell)}-{episode}.gif"
@@ -175,8 +209,7 @@ def replay(
     if as_json:
         facts = {"ego": driver, "traffic": around, "episode": episode, "ending": replayed.ending}
         facts |= {"duration_s": float(replayed.t_s[-1]), "what": what}
-        print_json({**facts, **files})
-        return
+        end_with_json({**facts, **files})
     say(f"{driver} in {around}, episode {episode}: {what}")
     titles = {"animation": "Animation", "trajectories": "Trajectories", "commonroad": "CommonRoad"}
     for kind, file in files.items():
@@ -187,39 +220,31 @@ def replay(
 def what_if(
     run: RunPath,
     episode: Episode,
-    at: Annotated[
-        int,
-        typer.Option(
-            "--at",
-            metavar="STEP",
-            min=1,
-            help="First decision of the other agent; decisions are counted from 1.",
-        ),
-    ],
-    other: Annotated[
-        str,
-        typer.Option(
-            "--agent", metavar="OTHER", help="An installed agent, or the path of a network."
-        ),
-    ],
-    vehicle: Annotated[
-        int | None,
-        typer.Option(min=0, help="The vehicle, by its number in replays; the default is the ego."),
-    ] = None,
-    ego: Annotated[
-        str | None, typer.Option("--ego", help="Label of the recorded ego, as in the tables.")
-    ] = None,
+    at: int = typer.Option(
+        ...,
+        "--at",
+        metavar="STEP",
+        min=1,
+        help="First decision of the other agent; decisions are counted from 1.",
+    ),
+    other: str = typer.Option(
+        ..., "--agent", metavar="OTHER", help="An installed agent, or the path of a network."
+    ),
+    vehicle: int | None = typer.Option(
+        None, min=0, help="The vehicle, by its number in replays; the default is the ego."
+    ),
+    ego: str | None = typer.Option(
+        None, "--ego", help="Label of the recorded ego, as in the tables."
+    ),
     traffic: TrafficLabel = None,
-    output: Annotated[
-        Path | None, typer.Option(metavar="OUT.html", help="File of the page with the replay.")
-    ] = None,
+    output: Path | None = typer.Option(
+        None, metavar="OUT.html", help="File of the page with the replay."
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
     """Let another agent drive from a decision of an episode on."""
-    from charms_bench import api
     from charms_bench.episodes.dataset import name_of
-    from charms_bench.foundation.files import absolute
     from charms_bench.foundation.names import name_of_agent
     from charms_bench.report.html.page import check_page
     from charms_bench.report.html.single import write_what_if
@@ -228,7 +253,7 @@ def what_if(
     if output is not None:
         check_page(output)
         output = absolute(output)
-    opened = api.open_run(run, suite_folder)
+    opened = charms_bench.open_run(run, suite_folder)
     found = opened.what_if(episode, at, other, vehicle, ego, traffic)
     seat = "ego" if found.vehicle == found.recorded.ego else str(found.vehicle)
     cell = name_of(opened.suite, found.recorded.cell)
@@ -242,8 +267,7 @@ def what_if(
         ]
         facts = {"episode": episode, "step": at, "vehicle": found.vehicle, "agent": other}
         facts |= {"recorded": recorded, "what_if": instead, "futures": futures}
-        print_json({**facts, "page": str(page)})
-        return
+        end_with_json({**facts, "page": str(page)})
     say(f"Recorded: {recorded}\nWhat if:  {instead}")
     print_table(what_if_table(found))
     say(f"Page: {shown(page)}")
@@ -251,28 +275,20 @@ def what_if(
 
 @app.command(rich_help_panel=FAILURES)
 def search(
-    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file with a scenario.")],
-    agent: Annotated[
-        str | None,
-        typer.Option(help="Installed agent, or ONNX file of a network, instead of --ego."),
-    ] = None,
-    ego: Annotated[
-        str | None, typer.Option(help="Label of an ego of the suite, or an installed agent.")
-    ] = None,
-    traffic: Annotated[str | None, typer.Option(help="Label of the scenario.")] = None,
-    failures: Annotated[
-        int, typer.Option(min=1, help="Number of failures after which the search ends.")
-    ] = 10,
-    budget: Annotated[
-        int, typer.Option(min=1, help="Number of episodes after which the search ends.")
-    ] = 5000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", help="Folder; the default is runs/SUITE-search, and --agent."
-        ),
-    ] = None,
+    suite: Path = typer.Argument(metavar="SUITE", help="YAML file with a scenario."),
+    agent: str | None = typer.Option(
+        None, help="Installed agent, or ONNX file of a network, instead of --ego."
+    ),
+    ego: str | None = typer.Option(
+        None, help="Label of an ego of the suite, or an installed agent."
+    ),
+    traffic: str | None = typer.Option(None, help="Label of the scenario."),
+    failures: int = typer.Option(10, min=1, help="Number of failures after which the search ends."),
+    budget: int = typer.Option(5000, min=1, help="Number of episodes after which the search ends."),
+    seed: int = typer.Option(0, min=0, help="Seed of the search."),
+    output: Path | None = typer.Option(
+        None, "--output", "-o", help="Folder; the default is runs/SUITE-search, and --agent."
+    ),
     as_json: Json = False,
 ) -> None:
     """Search a scenario for failures of an agent.
@@ -280,11 +296,10 @@ def search(
     A failure is a collision that a driver named by `preventable_by` avoids in the same scenario.
     The folder has them as a suite, `found.yaml`. An interrupted search continues.
     """
-    from charms_bench import api
     from charms_bench.episodes.search import FOUND
 
     with interruptible():
-        made = api.search(
+        made = charms_bench.search(
             suite,
             ego,
             traffic,
@@ -300,8 +315,7 @@ def search(
         facts = {"failures": made.failures, "preventable_by": made.preventable_by}
         facts |= {"episodes": made.simulations, "left_out": made.left_out}
         facts |= {"episodes_to_first": made.simulations_to_first}
-        print_json({**facts, "suite": found if made.failures else None})
-        return
+        end_with_json({**facts, "suite": found if made.failures else None})
     where, episodes = made.cell.title, counted(made.simulations, "episode")
     if made.left_out:
         episodes += f" ({made.left_out:,} left out: prescribed vehicles collide with one another)"

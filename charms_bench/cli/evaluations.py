@@ -7,10 +7,12 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     EVALUATE,
     FAIL,
     UNKNOWN,
+    AnySuite,
     EgoAgents,
     Json,
     MetricSets,
@@ -19,15 +21,16 @@ from charms_bench.cli.terminal import (
     Workers,
     app,
     as_word,
+    end_with_json,
     interruptible,
     out,
-    print_json,
     print_records,
     print_table,
     say,
     shown,
 )
-from charms_bench.errors import InputError, RunFolderError
+from charms_bench.errors import InputError, RunFolderError, suggestion
+from charms_bench.foundation.files import read_file
 from charms_bench.foundation.words import counted
 
 AllMetrics = Annotated[
@@ -35,29 +38,27 @@ AllMetrics = Annotated[
 ]
 EARLY_WORKERS = 4
 """The most workers that start before the suite is read; a finished run needs none of them."""
-EXIT_CODES = {"pass": 0, "fail": FAIL, "unknown": UNKNOWN}
 HEADLINE_WIDTH = 100
 """Characters that the table at the end of a run takes at most."""
 VERDICTS = {
-    "pass": "everything that was checked passes",
-    "fail": "fails",
-    "unknown": "nothing fails, but not everything can be checked here",
+    "pass": (0, "everything that was checked passes"),
+    "fail": (FAIL, "fails"),
+    "unknown": (UNKNOWN, "nothing fails, but not everything can be checked here"),
 }
+"""The exit code of `audit`, and what it says."""
 
 
 @app.command(rich_help_panel=EVALUATE)
 def suites(
-    copy: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Copy this suite to the current folder, to edit it."),
-    ] = None,
+    copy: str | None = typer.Option(
+        None, metavar="NAME", help="Copy this suite to the current folder, to edit it."
+    ),
     as_json: Json = False,
 ) -> None:
     """List the suites that come with charms-bench.
 
     `charms-bench run NAME` runs one.
     """
-    from charms_bench.errors import suggestion
     from charms_bench.runs.document import Document
     from charms_bench.runs.packaged import packaged_suites
 
@@ -75,8 +76,7 @@ def suites(
         return
     titles = {name: str(Document(path).data["title"]) for name, path in found.items()}
     if as_json:
-        print_json([{"name": name, "title": title} for name, title in titles.items()])
-        return
+        end_with_json([{"name": name, "title": title} for name, title in titles.items()])
     width = max(map(len, titles))
     for name, title in titles.items():
         say(f"{name:{width}}  {title}")
@@ -84,75 +84,56 @@ def suites(
 
 @app.command(rich_help_panel=EVALUATE)
 def run(
-    suite: Annotated[
-        Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
-    ],
+    suite: AnySuite,
     agents: EgoAgents = None,
-    episodes: Annotated[
-        int | None,
-        typer.Option(min=1, help="Episodes per ego and traffic model; overrides the suite."),
-    ] = None,
+    episodes: int | None = typer.Option(
+        None, min=1, help="Episodes per ego and traffic model; overrides the suite."
+    ),
     workers: Workers = None,
-    engine: Annotated[
-        Literal["batched", "highway-env"],
-        typer.Option(help="Engine; highway-env is the slow reference."),
-    ] = "batched",
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0, help="Seed of the first episode, or the seed of a training; overrides the suite."
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(help="Run folder; the default is runs/SUITE, followed by each --agent."),
-    ] = None,
-    rows: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="RUN",
-            help="Another run folder; episodes that it contains are copied, not simulated.",
-        ),
-    ] = None,
-    shard_limit_s: Annotated[
-        float | None,
-        typer.Option(
-            "--shard-limit",
-            min=1,
-            metavar="SECONDS",
-            help="Time limit for one shard (150 episodes), including the start of its worker; "
-            "the default is 1800.",
-        ),
-    ] = None,
-    shorten: Annotated[
-        bool,
-        typer.Option("--shorten", help="Delete finished episodes that the suite no longer has."),
-    ] = False,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address of a Dask scheduler; its cluster runs the suite, e.g. tcp://HOST:8786.",
-        ),
-    ] = None,
-    only: Annotated[
-        str | None,
-        typer.Option(
-            help="Train only this stage of a training suite, and the stages that it needs."
-        ),
-    ] = None,
-    steps: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Environment steps of every stage of a training, such as a few for a trial; "
-            "overrides the suite.",
-        ),
-    ] = None,
-    recordings: Annotated[
-        Path | None,
-        typer.Option(help="Folder of human recordings for training; overrides the suite."),
-    ] = None,
+    engine: Literal["batched", "highway-env"] = typer.Option(
+        "batched", help="Engine; highway-env is the slow reference."
+    ),
+    seed: int | None = typer.Option(
+        None,
+        min=0,
+        help="Seed of the first episode, or the seed of a training; overrides the suite.",
+    ),
+    output: Path | None = typer.Option(
+        None, help="Run folder; the default is runs/SUITE, followed by each --agent."
+    ),
+    rows: Path | None = typer.Option(
+        None,
+        metavar="RUN",
+        help="Another run folder; episodes that it contains are copied, not simulated.",
+    ),
+    shard_limit_s: float | None = typer.Option(
+        None,
+        "--shard-limit",
+        min=1,
+        metavar="SECONDS",
+        help="Time limit for one shard (150 episodes), including the start of its worker; "
+        "the default is 1800.",
+    ),
+    shorten: bool = typer.Option(
+        False, "--shorten", help="Delete finished episodes that the suite no longer has."
+    ),
+    cluster: str | None = typer.Option(
+        None,
+        metavar="ADDRESS",
+        help="Address of a Dask scheduler; its cluster runs the suite, e.g. tcp://HOST:8786.",
+    ),
+    only: str | None = typer.Option(
+        None, help="Train only this stage of a training suite, and the stages that it needs."
+    ),
+    steps: int | None = typer.Option(
+        None,
+        min=1,
+        help="Environment steps of every stage of a training, such as a few for a trial; "
+        "overrides the suite.",
+    ),
+    recordings: Path | None = typer.Option(
+        None, help="Folder of human recordings for training; overrides the suite."
+    ),
     as_json: Json = False,
 ) -> None:
     """Run a suite, or continue an interrupted run of it.
@@ -174,19 +155,16 @@ def run(
             option = {"agents": "agent", "shard_limit_s": "shard-limit"}.get(name, name)
             raise InputError(f"--{option} is for {kinds[0]}; {suite} is {kinds[1]}")
     if is_training:
-        from charms_bench import api
-
         with interruptible():
-            trained = api.train(suite, output, workers=workers, seed=seed, **of_trainings)
+            trained = charms_bench.train(suite, output, workers=workers, seed=seed, **of_trainings)
         _print_training(trained, as_json)
         return
     can_start = cluster is None and engine == "batched"
     early = min(workers or os.cpu_count() or 1, EARLY_WORKERS) if can_start else 0
     with interruptible(), started_early(early, "charms_bench.runs.shard"):
-        from charms_bench import api  # takes a while, in which the workers start
-
+        # To import what it needs takes a while, in which the workers start.
         of_evaluations |= {"seed": seed, "shorten": shorten, "agents": agents or ()}
-        made = api.run(suite, output, workers=workers, engine=engine, **of_evaluations)
+        made = charms_bench.run(suite, output, workers=workers, engine=engine, **of_evaluations)
     _print_result(made, as_json)
 
 
@@ -194,8 +172,7 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
     """The headline of a run, or the table that a command has made, and where the files are."""
     if as_json:
         chosen = run.table if table is None else table
-        print_json(chosen.frame().to_dicts())
-        return
+        end_with_json(chosen.frame().to_dicts())
     from charms_bench.report.headline import headline
     from charms_bench.report.stored import stored_tables
     from charms_bench.report.terminal import compact
@@ -217,20 +194,16 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
 
 @app.command(rich_help_panel=EVALUATE)
 def show(
-    run: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN", help="Folder of an evaluation, a training, `rare` or `search`."
-        ),
-    ],
-    metrics: Annotated[
-        list[str] | None, typer.Option("--metric", help="Show only this metric; repeat for more.")
-    ] = None,
+    run: Path = typer.Argument(
+        metavar="RUN", help="Folder of an evaluation, a training, `rare` or `search`."
+    ),
+    metrics: list[str] | None = typer.Option(
+        None, "--metric", help="Show only this metric; repeat for more."
+    ),
     everything: AllMetrics = False,
     as_json: Json = False,
 ) -> None:
     """Print the tables of a run, with 95 % intervals drawn to scale."""
-    from charms_bench import api
     from charms_bench.episodes.search import MANIFEST as SEARCH
     from charms_bench.report.progress import note
     from charms_bench.report.stored import holds, stored_tables
@@ -244,11 +217,10 @@ def show(
             raise InputError(f"{run}: is not an evaluation; --metric and --all are for those")
         if holds(run, RARE):
             _print_rare(run, as_json)
-            return
-        if holds(run, SEARCH):
+        elif holds(run, SEARCH):
             _print_search(run, as_json)
-            return
-        _print_training(api.open_training(run), as_json, curves=True)
+        else:
+            _print_training(charms_bench.open_training(run), as_json, curves=True)
         return
     folder = RunFolder(run)
     suite = folder.suite()
@@ -258,8 +230,7 @@ def show(
     if as_json:
         facts = {name: getattr(suite, name) for name in ("suite", "title", "episodes", "seed")}
         tables = {each.name: each.frame().to_dicts() for each in (table, *others)}
-        print_json({**facts, "tables": tables})
-        return
+        end_with_json({**facts, "tables": tables})
     cells = (
         f"{len(suite.egos)} × {len(suite.traffics)} cells of {counted(suite.episodes, 'episode')}"
     )
@@ -268,7 +239,7 @@ def show(
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out().print(drawn(each, out().width))
     try:
-        opened = api.open_run(run)
+        opened = charms_bench.open_run(run)
         if remarks := [*opened.interfaces(), *opened.remarks()]:
             say("\n".join(["", *remarks]))
     except RunFolderError as error:  # tables are shown even where their rows are missing
@@ -278,15 +249,13 @@ def show(
 
 def _print_rare(folder: Path, as_json: bool) -> None:
     """The tables that `rare` has written."""
-    from charms_bench.foundation.files import read_file
     from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_csv
 
     paths = sorted((folder / "tables").glob("*.csv"))
     if not paths:
         raise InputError(f"{folder}: is not finished; the same command continues there")
     if as_json:
-        print_json({path.stem: read_csv(path).to_dicts() for path in paths})
-        return
+        end_with_json({path.stem: read_csv(path).to_dicts() for path in paths})
     for path in paths:
         text = read_file(path.with_suffix(".md"), TABLE_LIMIT_BYTES)
         say(text.decode(errors="replace").rstrip())
@@ -299,8 +268,7 @@ def _print_search(folder: Path, as_json: bool) -> None:
 
     path, points = folder / FOUND, found_in(folder)
     if as_json:
-        print_json({"failures": list(points), "suite": str(path) if points else None})
-        return
+        end_with_json({"failures": list(points), "suite": str(path) if points else None})
     if not points:
         say(f"{folder}: no failure")
         return
@@ -313,8 +281,7 @@ def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
     from charms_bench.report.training_tables import drawn_curves
 
     if as_json:
-        print_json(training.to_dict())
-        return
+        end_with_json(training.to_dict())
     if training.stages is not None:
         print_table(training.stages, stacked=True)
         networks = shown(training.path / "networks")
@@ -325,26 +292,22 @@ def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
 
 @app.command(rich_help_panel=EVALUATE)
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="RUN_A", help="Folder of a finished run.")],
-    second: Annotated[
-        Path | None, typer.Argument(metavar="[RUN_B]", help="Another run of the same episodes.")
-    ] = None,
-    egos: Annotated[
-        tuple[str, str] | None,
-        typer.Option(
-            metavar="A B",
-            help="Labels of the egos in the tables. With one run, both are from it; with two "
-            "runs, A is from RUN_A and B is from RUN_B.",
-        ),
-    ] = None,
-    metrics: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--metric",
-            help="Test only this metric; repeat for more. Fewer tests have more power; choose "
-            "the metrics before you look at the results.",
-        ),
-    ] = None,
+    first: Path = typer.Argument(metavar="RUN_A", help="Folder of a finished run."),
+    second: Path | None = typer.Argument(
+        None, metavar="[RUN_B]", help="Another run of the same episodes."
+    ),
+    egos: tuple[str, str] | None = typer.Option(
+        None,
+        metavar="A B",
+        help="Labels of the egos in the tables. With one run, both are from it; with two "
+        "runs, A is from RUN_A and B is from RUN_B.",
+    ),
+    metrics: list[str] | None = typer.Option(
+        None,
+        "--metric",
+        help="Test only this metric; repeat for more. Fewer tests have more power; choose "
+        "the metrics before you look at the results.",
+    ),
     metric_sets: MetricSets = None,
     everything: AllMetrics = False,
     as_json: Json = False,
@@ -353,15 +316,13 @@ def compare(
 
     Both egos drive the same episodes, so the tests are paired.
     """
-    from charms_bench import api
     from charms_bench.report.comparison import by_pair, to_dicts
 
-    other = None if second is None else api.open_run(second)
-    run = api.open_run(first)
+    other = None if second is None else charms_bench.open_run(second)
+    run = charms_bench.open_run(first)
     table = run.compare(other, egos, metrics or (), metric_sets or ())
     if as_json:
-        print_json(to_dicts(table))
-        return
+        end_with_json(to_dicts(table))
     columns = () if everything or metrics or metric_sets else run.suite.columns
     parts = by_pair(table, columns) if columns else []
     for part in parts or by_pair(table):
@@ -376,43 +337,32 @@ def compare(
 @app.command(rich_help_panel=EVALUATE)
 def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False) -> None:
     """Compute the metrics of a run again, without simulating."""
-    from charms_bench import api
-
-    opened = api.open_run(run)
+    opened = charms_bench.open_run(run)
     table = opened.rescore(*(metric_sets or ()))
     _print_result(opened, as_json, table if metric_sets else None)
 
 
 @app.command(rich_help_panel=EVALUATE)
 def report(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN...", help="Folders of finished runs, trainings, `rare` and `search`."
-        ),
-    ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="OUT.html", help="HTML file to write.")
-    ] = Path("report.html"),
-    top: Annotated[
-        int, typer.Option(min=0, max=100, help="Number of most critical episodes to replay.")
-    ] = 10,
-    episodes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--episode",
-            metavar="RUN:EPISODE[:EGO[:TRAFFIC]]",
-            help="Also replay this episode; repeat for more.",
-        ),
-    ] = None,
-    what_if: Annotated[
-        str | None,
-        typer.Option(
-            metavar="STEP:AGENT[:VEHICLE]",
-            help="Also show the future of each --episode with another agent from decision STEP on; "
-            "see `charms-bench what-if`.",
-        ),
-    ] = None,
+    runs: list[Path] = typer.Argument(
+        metavar="RUN...", help="Folders of finished runs, trainings, `rare` and `search`."
+    ),
+    output: Path = typer.Option(
+        Path("report.html"), "--output", "-o", metavar="OUT.html", help="HTML file to write."
+    ),
+    top: int = typer.Option(10, min=0, max=100, help="Number of most critical episodes to replay."),
+    episodes: list[str] | None = typer.Option(
+        None,
+        "--episode",
+        metavar="RUN:EPISODE[:EGO[:TRAFFIC]]",
+        help="Also replay this episode; repeat for more.",
+    ),
+    what_if: str | None = typer.Option(
+        None,
+        metavar="STEP:AGENT[:VEHICLE]",
+        help="Also show the future of each --episode with another agent from decision STEP on; "
+        "see `charms-bench what-if`.",
+    ),
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
@@ -421,8 +371,7 @@ def report(
 
     made = write_report(runs, output, top, episodes or [], suite_folder, what_if)
     if as_json:
-        print_json(made)
-        return
+        end_with_json(made)
     say(
         f"{output}: {counted(len(runs), 'run')}, {counted(len(made['replays']), 'replay')}, "
         f"{made['bytes'] / 1e6:z.1f} MB"
@@ -432,13 +381,13 @@ def report(
 @app.command(rich_help_panel=EVALUATE)
 def audit(
     run: RunPath,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Simulate every shard again, not only a sample.")
-    ] = False,
-    shards: Annotated[int, typer.Option(min=1, help="Number of shards to simulate again.")] = 10,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed that chooses the shards; by default, a new one.")
-    ] = None,
+    everything: bool = typer.Option(
+        False, "--all", help="Simulate every shard again, not only a sample."
+    ),
+    shards: int = typer.Option(10, min=1, help="Number of shards to simulate again."),
+    seed: int | None = typer.Option(
+        None, min=0, help="Seed that chooses the shards; by default, a new one."
+    ),
     workers: Workers = None,
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
@@ -449,18 +398,18 @@ def audit(
     every check passes, 1 if a check fails, and 3 if a check cannot be made with the installed
     software.
     """
-    from charms_bench import api
-
     chosen = None if everything else shards
     with interruptible():
-        found = api.audit(run, shards=chosen, seed=seed, workers=workers, suite_folder=suite_folder)
+        found = charms_bench.audit(
+            run, shards=chosen, seed=seed, workers=workers, suite_folder=suite_folder
+        )
+    code, verdict = VERDICTS[found.verdict]
     if as_json:
         facts = {"verdict": found.verdict, "undrawn": found.undrawn}
-        print_json({**facts, "findings": found.table.records()})
-    else:
-        for line in found.lines():
-            say(line)
-        missed = f"if one shard is false, it was missed with a probability of {found.undrawn:z.0%}"
-        is_sample = 0 < found.undrawn < 1 and found.verdict != "fail"
-        say(f"{run}: {VERDICTS[found.verdict]}{f'; {missed}' if is_sample else ''}")
-    raise typer.Exit(EXIT_CODES[found.verdict])
+        end_with_json({**facts, "findings": found.table.records()}, code)
+    for line in found.lines():
+        say(line)
+    missed = f"if one shard is false, it was missed with a probability of {found.undrawn:z.0%}"
+    is_sample = 0 < found.undrawn < 1 and found.verdict != "fail"
+    say(f"{run}: {verdict}{f'; {missed}' if is_sample else ''}")
+    raise typer.Exit(code)

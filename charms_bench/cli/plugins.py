@@ -1,10 +1,11 @@
 """`agents`, `traffic`, `check`, `new-agent` and `export`: list, test and add agents."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import (
     AGENTS,
     FAIL,
@@ -12,13 +13,14 @@ from charms_bench.cli.terminal import (
     Json,
     app,
     as_word,
+    end_with_json,
     out,
-    print_json,
     print_records,
     say,
     shown,
 )
 from charms_bench.errors import PLUGIN_ERRORS, InputError, raised
+from charms_bench.foundation.files import absolute, is_same_file
 
 
 @app.command(rich_help_panel=AGENTS)
@@ -40,8 +42,7 @@ def agents(as_json: Json = False) -> None:
         for plugin in plugins(group).values()
     ]
     if as_json:
-        print_json(found)
-        return
+        end_with_json(found)
     groups: dict[str, list[dict[str, str]]] = {}
     for record in found:
         source = f"{record['distribution']} {record['version']}"
@@ -60,30 +61,25 @@ def agents(as_json: Json = False) -> None:
 )
 def traffic(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Traffic model; its options follow, e.g. --tau 1.5.")],
+    name: str = typer.Argument(help="Traffic model; its options follow, e.g. --tau 1.5."),
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
     """Print the proportions of agents in a traffic model."""
-    from charms_bench.foundation.files import absolute
     from charms_bench.plugins.registry import make_traffic
     from charms_bench.plugins.traffic_shares import SAMPLED, shares
-    from charms_bench.report.figures.drawing import check_figure, save
+    from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.shares import draw
     from charms_bench.report.table import Column, Table
     from charms_bench.report.terminal import drawn
 
-    if figure is not None:
-        check_figure(figure)
-        figure = absolute(figure)
     options = _options(context.args)
     found = shares(make_traffic(name, options))
     if figure is not None:
         words = ", ".join(f"{key} {value}" for key, value in options.items())
         save(draw(found, f"{name} {words}".strip()), figure)
     if as_json:
-        print_json({"traffic": name, "options": options, "shares": found})
-        return
+        end_with_json({"traffic": name, "options": options, "shares": found})
     records = [{"agent": agent, "proportion": each} for agent, each in found.items()]
     columns = (Column("proportion", form=".1%"),)
     out().print(drawn(Table.from_records(records, "shares", "", ("agent",), columns), out().width))
@@ -110,19 +106,18 @@ def _options(words: list[str]) -> dict[str, Any]:
 
 @app.command(rich_help_panel=AGENTS)
 def check(
-    name: Annotated[str, typer.Argument(help="Agent or traffic model.")], as_json: Json = False
+    name: str = typer.Argument(help="Agent or traffic model."), as_json: Json = False
 ) -> None:
     """Test whether a plugin follows the rules.
 
     The exit code is 1 if the plugin breaks a rule.
     """
-    from charms_bench.api.warming import warm_up
     from charms_bench.metrics.missing_lanes import MEANING
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
     from charms_bench.testing import agent_rules, traffic_rules
     from charms_bench.testing.driving import remark_on
 
-    warm_up()
+    charms_bench.warm_up()
     is_traffic = name in plugins(TRAFFIC) and name not in plugins(AGENTS)
     rules = traffic_rules(make_traffic(name)) if is_traffic else agent_rules(make_agent(name))
     results = []
@@ -137,28 +132,26 @@ def check(
         if not as_json:
             out().print("[red]fail[/]" if problem else "[green]pass[/]", end=" ")
             say(f"{title}: {problem}" if problem else title)
-    remark = "" if is_traffic or any(each["problem"] for each in results) else remark_on(name)
+    code = FAIL if any(each["problem"] for each in results) else 0
+    remark = "" if is_traffic or code else remark_on(name)
     if as_json:
-        print_json(results)
-    elif remark:
+        end_with_json(results, code)
+    if remark:
         say(f"remark {remark}. {MEANING}")
-    if any(result["problem"] for result in results):
-        raise typer.Exit(FAIL)
+    raise typer.Exit(code)
 
 
 @app.command(rich_help_panel=AGENTS)
 def new_agent(
-    name: Annotated[str, typer.Argument(help="Name of the agent in suites.")],
-    folder: Annotated[
-        Path | None, typer.Option(help="Folder to create; the default is the agent's name.")
-    ] = None,
-    kind: Annotated[
-        Literal["policy", "planner", "memory", "driver-model", "traffic"],
-        typer.Option(
-            help="What to write: a policy, one that plans or that has memory, a driver model, or a "
-            "traffic model."
-        ),
-    ] = "policy",
+    name: str = typer.Argument(help="Name of the agent in suites."),
+    folder: Path | None = typer.Option(
+        None, help="Folder to create; the default is the agent's name."
+    ),
+    kind: Literal["policy", "planner", "memory", "driver-model", "traffic"] = typer.Option(
+        "policy",
+        help="What to write: a policy, one that plans or that has memory, a driver model, or a "
+        "traffic model.",
+    ),
 ) -> None:
     """Write a package with a new agent or traffic model."""
     from charms_bench.plugins.scaffold import new_agent as write
@@ -172,65 +165,52 @@ def new_agent(
 
 @app.command(rich_help_panel=AGENTS)
 def export(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="CHECKPOINT... [OUT.onnx]",
-            help="Zip file of a DQN, PPO, A2C, SAC, TD3 or DDPG of Stable-Baselines3 or a "
-            "RecurrentPPO of sb3-contrib, and the ONNX file to write; with --to, any number of zip "
-            "files.",
-        ),
-    ],
-    to: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER", help="Folder to write to; each ONNX file is named like its zip file."
-        ),
-    ] = None,
-    observation: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Observation that the network was trained with: neighbours, paper_neighbours "
-            "(networks of the paper's authors), or highway-env's Kinematics, with options such as "
-            "'{type: Kinematics, vehicles_count: 7}'; the default is what the checkpoint states.",
-        ),
-    ] = None,
-    normalise: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.npz",
-            help="Mean, var and clip of the VecNormalize that the network was trained with; none "
-            "if it normalised rewards only.",
-        ),
-    ] = None,
-    decision_hz: Annotated[
-        float | None,
-        typer.Option(
-            min=0.001,
-            max=1000,
-            help="Decisions per second that the network was trained with; the default is what the "
-            "checkpoint states, or 3, or 1 with Kinematics.",
-        ),
-    ] = None,
-    style: Annotated[
-        str, typer.Option(help="Description of how the network drives, stored in the file.")
-    ] = "",
-    stochastic: Annotated[
-        bool,
-        typer.Option(
-            "--stochastic",
-            help="Draw the actions of a PPO, A2C or RecurrentPPO at random, as in training; by "
-            "default, the network chooses the most probable action.",
-        ),
-    ] = False,
+    files: list[Path] = typer.Argument(
+        metavar="CHECKPOINT... [OUT.onnx]",
+        help="Zip file of a DQN, PPO, A2C, SAC, TD3 or DDPG of Stable-Baselines3 or a "
+        "RecurrentPPO of sb3-contrib, and the ONNX file to write; with --to, any number of zip "
+        "files.",
+    ),
+    to: Path | None = typer.Option(
+        None,
+        metavar="FOLDER",
+        help="Folder to write to; each ONNX file is named like its zip file.",
+    ),
+    observation: str | None = typer.Option(
+        None,
+        metavar="NAME",
+        help="Observation that the network was trained with: neighbours, paper_neighbours "
+        "(networks of the paper's authors), or highway-env's Kinematics, with options such as "
+        "'{type: Kinematics, vehicles_count: 7}'; the default is what the checkpoint states.",
+    ),
+    normalise: Path | None = typer.Option(
+        None,
+        metavar="FILE.npz",
+        help="Mean, var and clip of the VecNormalize that the network was trained with; none "
+        "if it normalised rewards only.",
+    ),
+    decision_hz: float | None = typer.Option(
+        None,
+        min=0.001,
+        max=1000,
+        help="Decisions per second that the network was trained with; the default is what the "
+        "checkpoint states, or 3, or 1 with Kinematics.",
+    ),
+    style: str = typer.Option(
+        "", help="Description of how the network drives, stored in the file."
+    ),
+    stochastic: bool = typer.Option(
+        False,
+        "--stochastic",
+        help="Draw the actions of a PPO, A2C or RecurrentPPO at random, as in training; by "
+        "default, the network chooses the most probable action.",
+    ),
     as_json: Json = False,
 ) -> None:
     """Convert trained networks to ONNX files for suites.
 
     In a suite, the path of an ONNX file is the name of an agent.
     """
-    from charms_bench.foundation.files import absolute, is_same_file
     from charms_bench.plugins.registry import EXPORTERS, load
     from charms_bench.runs.document import value_of
     from charms_bench.world.observations import named_observation
@@ -278,4 +258,4 @@ def export(
             if rate not in (None, scene.simulation_hz):
                 say(f"At {hz:g} Hz, it drives in suites with `simulation_hz: {rate}` in `scene`.")
     if as_json:
-        print_json(records[0] if to is None else records)
+        end_with_json(records[0] if to is None else records)

@@ -13,12 +13,13 @@ from pathlib import Path
 from select import select
 from shlex import quote
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import typer
 from typer.core import TyperGroup
 
 from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute
 from charms_bench.foundation.streams import QUIET
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ ANYWHERE = ("--quiet", "--verbose")
 """Options of charms-bench itself, which may also follow the name of a command."""
 VERBOSE: ContextVar[bool] = ContextVar("VERBOSE", default=False)
 _ANSWER: ContextVar[TextIO | None] = ContextVar("_ANSWER", default=None)
-"""Where `print_json` prints; None is standard output."""
+"""Where `end_with_json` prints; None is standard output."""
 
 
 @cache
@@ -96,20 +97,12 @@ def _only_ours(output: TextIO) -> TextIO:
     return ours
 
 
-@contextmanager
-def _reserved_standard_output() -> Iterator[None]:
-    answer = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  # open until the process ends
-    before = _ANSWER.set(_only_ours(answer))
-    try:
-        with redirect_stdout(sys.stderr):
-            yield
-    finally:
-        _ANSWER.reset(before)
-
-
 def _print_only_json(context: typer.Context, wanted: bool) -> bool:
     if wanted:
-        context.with_resource(_reserved_standard_output())
+        answer = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  # open until the process ends
+        before = _ANSWER.set(_only_ours(answer))
+        context.call_on_close(lambda: _ANSWER.reset(before))
+        context.with_resource(redirect_stdout(sys.stderr))
     return wanted
 
 
@@ -145,13 +138,39 @@ EgoAgents = Annotated[
         "egos; repeat for more.",
     ),
 ]
+AnySuite = Annotated[
+    Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
+]
 SuiteFolder = Annotated[
     Path, typer.Option(help="Folder that relative paths in the suite refer to.")
 ]
 END_S = 2.0
 """Seconds after a second signal that a command has to end by itself."""
+Recordings = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RECORDINGS",
+        help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
+        "of I-24 or I-75.",
+    ),
+]
+
+
+def drawable(path: Path | None) -> Path | None:
+    """The absolute path of a figure; raises an `InputError` if no figure can have its name."""
+    if path is None:
+        return None
+    from charms_bench.report.figures.drawing import check_figure
+
+    check_figure(path)
+    return absolute(path)
+
+
 FigurePath = Annotated[
-    Path | None, typer.Option("--figure", help="Draw a figure into this .png, .pdf or .svg file.")
+    Path | None,
+    typer.Option(
+        "--figure", callback=drawable, help="Draw a figure into this .png, .pdf or .svg file."
+    ),
 ]
 
 
@@ -190,18 +209,19 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    version: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
-        ),
-    ] = False,
-    quiet: Annotated[
-        bool, typer.Option(ANYWHERE[0], help="Print results and errors, but no progress.")
-    ] = False,
-    verbose: Annotated[
-        bool, typer.Option(ANYWHERE[1], help="Print where in the code an error was raised.")
-    ] = False,
+    version: bool = typer.Option(
+        False,
+        "--version",
+        callback=_print_version,
+        is_eager=True,
+        help="Print the version and exit.",
+    ),
+    quiet: bool = typer.Option(
+        False, ANYWHERE[0], help="Print results and errors, but no progress."
+    ),
+    verbose: bool = typer.Option(
+        False, ANYWHERE[1], help="Print where in the code an error was raised."
+    ),
 ) -> None:
     """Benchmark driving behaviour on highway-env's motorway."""
     QUIET.set(quiet)
@@ -276,20 +296,19 @@ def print_table(table: "Table", stacked: bool = False) -> None:
 def print_records(
     key: str, records: Iterable[Mapping[str, Any]], forms: Mapping[str, str], as_json: bool = False
 ) -> None:
-    """Prints records as JSON, or as a table with these columns beside `key`.
+    """Prints a table with these columns beside `key`, or ends the command with JSON.
 
     Forms are as in `Column`.
     """
     if as_json:
-        print_json(records)
-        return
+        end_with_json(records)
     from charms_bench.report.table import Table
 
     print_table(Table.plain(records, (key,), forms))
 
 
-def print_json(value: Any) -> None:
-    """Prints a value as JSON on standard output."""
+def end_with_json(value: Any, code: int = 0) -> NoReturn:
+    """Prints a value as JSON on standard output, and ends the command with an exit code."""
     import json
 
     answer = _ANSWER.get()
@@ -301,6 +320,7 @@ def print_json(value: Any) -> None:
         if isinstance(error, BrokenPipeError):
             raise
         raise InputError(f"standard output: cannot be written: {error.strerror}") from error
+    raise typer.Exit(code)
 
 
 def shown(path: Path) -> str:

@@ -3,12 +3,15 @@
 import os
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
+import charms_bench
 from charms_bench.cli.terminal import FAILURES, app, interruptible, out, say
+from charms_bench.errors import InputError
 
 if TYPE_CHECKING:
     from charms_bench.envs.watched_episode import Watched
@@ -20,31 +23,24 @@ WIDEST = 120
 
 @app.command(rich_help_panel=FAILURES)
 def watch(
-    agent: Annotated[
-        str, typer.Argument(help="Ego: an installed agent, or the path of an ONNX file.")
-    ],
-    traffic: Annotated[
-        str | None,
-        typer.Option(
-            help="Traffic model, or an agent that drives all other vehicles; the default is "
-            "idm_mobil. With --suite, the label of one of its traffic models."
-        ),
-    ] = None,
-    suite: Annotated[
-        Path | None,
-        typer.Option(help="Suite whose scene and traffic models to use: a YAML file or a name."),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            max=2**64 - 1,
-            help="Seed of the episode; the default is 0, or the suite's first one.",
-        ),
-    ] = None,
-    text: Annotated[
-        bool, typer.Option("--text", help="Draw in the terminal even if there is a display.")
-    ] = False,
+    agent: str = typer.Argument(help="Ego: an installed agent, or the path of an ONNX file."),
+    traffic: str | None = typer.Option(
+        None,
+        help="Traffic model, or an agent that drives all other vehicles; the default is "
+        "idm_mobil. With --suite, the label of one of its traffic models.",
+    ),
+    suite: Path | None = typer.Option(
+        None, help="Suite whose scene and traffic models to use: a YAML file or a name."
+    ),
+    seed: int | None = typer.Option(
+        None,
+        min=0,
+        max=2**64 - 1,
+        help="Seed of the episode; the default is 0, or the suite's first one.",
+    ),
+    text: bool = typer.Option(
+        False, "--text", help="Draw in the terminal even if there is a display."
+    ),
 ) -> None:
     """Watch an agent drive an episode, in a window or in the terminal.
 
@@ -52,10 +48,9 @@ def watch(
     output is not a terminal, it has one picture per second of the episode.
     """
     from charms_bench.api.evaluation import cell_of
-    from charms_bench.api.warming import warm_up
     from charms_bench.envs.watched_episode import Watched, plain
 
-    warm_up()
+    charms_bench.warm_up()
     if suite is not None:
         simulation, title, first = cell_of(suite, agent, traffic)
     else:
@@ -85,7 +80,6 @@ ENDED = {
 def _window(title: str) -> "Window | None":
     """A window, or None if there is no display."""
     from charms_bench.envs.window import Window
-    from charms_bench.errors import InputError
 
     displays = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
     if sys.platform == "linux" and not any(map(os.environ.get, displays)):
@@ -101,11 +95,9 @@ def _in_window(watched: "Watched", window: "Window") -> None:
 
     from charms_bench.world.picture import picture
 
-    try:
+    with closing(window):
         for moment in watched.moments():
             window.show(np.asarray(picture(moment)), watched.settings.simulation_hz)
-    finally:
-        window.close()
 
 
 def _in_terminal(watched: "Watched") -> None:

@@ -20,7 +20,7 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
 
     The scene, and the scenario at this index among the traffic models, are those of the document.
     """
-    entry = deepcopy(document.data[document.key("traffic_models")][traffic])
+    entry = deepcopy(document.data["traffic_models"][traffic])
     entry["traffic"]["scenario"]["points"] = search.failures
     egos = [search.cell.ego, *search.references]
     suite: dict[str, Any] = {

@@ -14,7 +14,6 @@ from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.recording.columns import with_lengths
 from charms_bench.roads import engine_on
 from charms_bench.runs.audit_software import names_installed_code
 from charms_bench.runs.cells import CellRows
@@ -108,8 +107,7 @@ class RecordedCell:
                 )
         shards = [run.shards[k] for k, seeds in self._seeds.items() if {*seeds} & {*episodes}]
         _, steps = read_rows(run.folder, EPISODES_AND_STEPS, shards)
-        steps = steps.filter(pl.col("episode").is_in(list(episodes)))
-        return with_lengths(steps, self.cell.scene.profile.vehicle_length_m)
+        return steps.filter(pl.col("episode").is_in(list(episodes)))
 
     def shard_of(self, episode: int) -> range:
         """The seeds of the episodes that the run simulated together with this one."""

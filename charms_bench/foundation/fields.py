@@ -32,8 +32,7 @@ keep their fingerprints."""
 class FrozenModel(BaseModel):
     """A strict, immutable model in which an unknown key is an error.
 
-    A field with an alias is a renamed key: the alias is its name in YAML, and the field has the old
-    name, which run folders have, and which is still read.
+    An alias is the name of a field in YAML; run folders have the field's own name.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
@@ -41,16 +40,10 @@ class FrozenModel(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _name_known_keys(cls, data: Any, info: ValidationInfo) -> Any:
-        """Says at an unknown key which keys there are, which pydantic's own error does not.
-
-        Old names of renamed keys are noted in `renamed` of the context: the old by the new name.
-        """
+        """Says at an unknown key which keys there are, which pydantic's own error does not."""
         known = {field.alias or name: field for name, field in cls.model_fields.items()}
-        old = {name: field.alias for name, field in cls.model_fields.items() if field.alias}
-        given = data if isinstance(data, dict) else {}
-        if info.context:
-            info.context["renamed"] |= {old[key]: key for key in given if key in old}
-        unknown = [key for key in given if key not in known and key not in old]
+        names = known if info.context else {**known, **cls.model_fields}  # in YAML, or elsewhere
+        unknown = [key for key in data if key not in names] if isinstance(data, dict) else []
         if not unknown:
             return data
         shown = {name: field for name, field in known.items() if not field.exclude}

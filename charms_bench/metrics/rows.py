@@ -14,7 +14,7 @@ import polars.selectors as cs
 from charms_bench.metrics.conduct import conduct_of
 from charms_bench.metrics.metric import Metric
 from charms_bench.metrics.time_to_collision import time_to_collision
-from charms_bench.recording.columns import NO_DRIVERS, with_lengths
+from charms_bench.recording.columns import NO_DRIVERS
 from charms_bench.world.gaps import gap_to, required_braking
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -63,9 +63,7 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     collided = pl.col("ending").is_in(["rear_end", "side"]) & (pl.col("step") == pl.col("steps"))
     lateral_mps = pl.col("speed") * pl.col("heading").sin()
     return (
-        episodes.join(
-            with_lengths(steps, settings.profile.vehicle_length_m), on="episode", how="left"
-        )
+        episodes.join(steps, on="episode", how="left")
         .sort("episode", "step")
         .with_columns(cs.float().cast(pl.Float64))
         .with_columns(

@@ -14,7 +14,7 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from inspect import signature
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from charms_bench.errors import (
     PLUGIN_ERRORS,
@@ -28,6 +28,7 @@ from charms_bench.plugins.event import Event
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.traffic import OneAgent, Traffic
 
+T = TypeVar("T")
 AGENTS = "charms_bench.agents"
 TRAFFIC = "charms_bench.traffic"
 PIPELINES = "charms_bench.pipelines"
@@ -186,6 +187,11 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
 def make_event(name: str, options: Mapping[str, Any] | None = None) -> Event:
     """The event of that name, made with `options`; raises a `RegistryError` like `make_agent`."""
     return cast(Event, _make(find(EVENTS, name), options, Event))
+
+
+def make(group: str, name: str, options: Mapping[str, Any] | None, kind: type[T]) -> T:
+    """As `make_agent`, of any group; what is made is of the class `kind`."""
+    return cast(T, _make(find(group, name), options, kind))
 
 
 def load(group: str, name: str) -> Any:

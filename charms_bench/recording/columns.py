@@ -17,67 +17,55 @@ class Column:
     """A column of recorded rows."""
 
     meaning: str
+    dtype: pl.DataType = pl.Int32()  # noqa: RUF009  # immutable
     unit: str = ""
     """Empty for a count, another number without a unit, an index or a word."""
-    dtype: pl.DataType = pl.Int32()  # noqa: RUF009  # immutable
 
 
-_SEED = Column("Seed of the episode.", dtype=pl.UInt64())
+I8, I16, F32, F64 = pl.Int8(), pl.Int16(), pl.Float32(), pl.Float64()
+BOOL, TEXT = pl.Boolean(), pl.String()
+_SEED = Column("Seed of the episode.", pl.UInt64())
 
 STEP: Mapping[str, Column] = {
     "episode": _SEED,
     "step": Column("Number of ego decisions made so far; the first row has 1."),
-    "x": Column("Position of the ego's centre along the road.", "m", pl.Float32()),
-    "y": Column("Position across the road, to the right of lane 0's centre.", "m", pl.Float32()),
-    "heading": Column("Heading of the ego, positive to the right.", "rad", pl.Float32()),
-    "speed": Column("Speed of the ego.", "m/s", pl.Float32()),
-    "acceleration": Column(
-        "Acceleration commanded in the last simulation step.", "m/s²", pl.Float32()
-    ),
-    "steering": Column(
-        "Steering angle commanded in the last simulation step.", "rad", pl.Float32()
-    ),
-    "length": Column("Length of the ego.", "m", pl.Float64()),
-    "lane": Column("Lane nearest to the ego; 0 is the leftmost.", dtype=pl.Int8()),
-    "target_lane": Column(
-        "Lane that the ego steers to; with continuous actions, `lane`.", dtype=pl.Int8()
-    ),
+    "x": Column("Position of the ego's centre along the road.", F32, "m"),
+    "y": Column("Position across the road, to the right of lane 0's centre.", F32, "m"),
+    "heading": Column("Heading of the ego, positive to the right.", F32, "rad"),
+    "speed": Column("Speed of the ego.", F32, "m/s"),
+    "acceleration": Column("Acceleration commanded in the last simulation step.", F32, "m/s²"),
+    "steering": Column("Steering angle commanded in the last simulation step.", F32, "rad"),
+    "length": Column("Length of the ego.", F64, "m"),
+    "lane": Column("Lane nearest to the ego; 0 is the leftmost.", I8),
+    "target_lane": Column("Lane that the ego steers to; with continuous actions, `lane`.", I8),
     "action": Column(
         "Index of the last meta-action among the ego's, by default `ACTIONS`; null under a driver "
         "model and with continuous actions.",
-        dtype=pl.Int8(),
+        I8,
     ),
-    "leader": Column(
-        "Leader on the ego's lane, by its place in the order of spawning.", dtype=pl.Int16()
-    ),
-    "leader_distance": Column("Distance to that leader, centre to centre.", "m", pl.Float32()),
-    "leader_length": Column("Length of that leader.", "m", pl.Float64()),
-    "leader_speed": Column("Speed of that leader.", "m/s", pl.Float32()),
-    "follower": Column(
-        "Follower on the ego's lane, by its place in the order of spawning.", dtype=pl.Int16()
-    ),
-    "follower_distance": Column("Distance to that follower, centre to centre.", "m", pl.Float32()),
-    "follower_length": Column("Length of that follower.", "m", pl.Float64()),
-    "follower_speed": Column("Speed of that follower.", "m/s", pl.Float32()),
+    "leader": Column("Leader on the ego's lane, by its place in the order of spawning.", I16),
+    "leader_distance": Column("Distance to that leader, centre to centre.", F32, "m"),
+    "leader_length": Column("Length of that leader.", F64, "m"),
+    "leader_speed": Column("Speed of that leader.", F32, "m/s"),
+    "follower": Column("Follower on the ego's lane, by its place in the order of spawning.", I16),
+    "follower_distance": Column("Distance to that follower, centre to centre.", F32, "m"),
+    "follower_length": Column("Length of that follower.", F64, "m"),
+    "follower_speed": Column("Speed of that follower.", F32, "m/s"),
     "follower_acceleration": Column(
-        "Acceleration commanded by that follower; null if the follower has crashed.",
-        "m/s²",
-        pl.Float32(),
+        "Acceleration commanded by that follower; null if the follower has crashed.", F32, "m/s²"
     ),
     "new_follower_acceleration": Column(
         "In the first row on another lane: the lowest acceleration commanded by `follower`, the "
         "new follower, at the decisions within 2 s, until it or the ego crashes; otherwise null.",
+        F32,
         "m/s²",
-        pl.Float32(),
     ),
-    "vehicles_near": Column(
-        "Vehicles within 30 m and one lane of the ego, the ego included.", dtype=pl.Int16()
-    ),
+    "vehicles_near": Column("Vehicles within 30 m and one lane of the ego, the ego included.", I16),
     "planar_ttc": Column(
         "Least time until the rectangles of the ego and of another vehicle touch, if all keep "
         "their velocities and headings; null above 10 s.",
+        F32,
         "s",
-        pl.Float32(),
     ),
 }
 """One row per decision of the ego, with the state after it."""
@@ -87,51 +75,51 @@ EPISODE: Mapping[str, Column] = {
     "ending": Column(
         "How the episode ended: `time`, `rear_end`, `side`, `off_road` or, on one of highway-env's "
         "roads, `goal`.",
-        dtype=pl.String(),
+        TEXT,
     ),
     "struck": Column(
         "In a rear-end collision, whether the follower struck the ego; false if the ego struck "
         "its leader, and null for every other ending.",
-        dtype=pl.Boolean(),
+        BOOL,
     ),
     "at_fault": Column(
         "Whether the ego is at fault for its crash (`recording.fault`); null if it did not crash, "
         "and on highway-env's roads, where nobody judges who had the right of way.",
-        dtype=pl.Boolean(),
+        BOOL,
     ),
     "steps": Column("Decisions of the ego."),
-    "duration_s": Column("Simulated time.", "s", pl.Float64()),
-    "distance_m": Column("Distance driven by the ego along the road.", "m", pl.Float64()),
+    "duration_s": Column("Simulated time.", F64, "s"),
+    "distance_m": Column("Distance driven by the ego along the road.", F64, "m"),
     "traffic_vehicles": Column("Vehicles in the traffic; null on one of highway-env's roads."),
     "traffic_crashed": Column("Vehicles of the traffic that collided or left the road; the same."),
     "traffic_distance_m": Column(
-        "Distance driven by all vehicles of the traffic together; the same.", "m", pl.Float64()
+        "Distance driven by all vehicles of the traffic together; the same.", F64, "m"
     ),
     "traffic_time_s": Column(
         "Time that they were there, together; null where nobody comes or goes: the whole episode.",
+        F64,
         "s",
-        pl.Float64(),
     ),
     "entry_lead_gap_m": Column(
         "On one of highway-env's roads: the gap to the leader when a vehicle enters "
         "(`roads.entries`); null without a leader within 100 m.",
+        F64,
         "m",
-        pl.Float64(),
     ),
     "entry_lag_gap_m": Column(
-        "The gap to the follower then; null without a follower within 100 m.", "m", pl.Float64()
+        "The gap to the follower then; null without a follower within 100 m.", F64, "m"
     ),
     "entry_braking_mps2": Column(
         "The strongest braking of that follower within 2 s, until it or the entering vehicle "
         "crashes; 0 if it does not brake.",
+        F64,
         "m/s²",
-        pl.Float64(),
     ),
     "entry_pet_s": Column(
         "The post-encroachment time (PET) between the entering vehicle and that follower; null "
         "above 5 s.",
+        F64,
         "s",
-        pl.Float64(),
     ),
 }
 """One row per episode. On the straight road, files do not have the columns `entry_*`, and where
@@ -139,18 +127,18 @@ nobody comes or goes, no `traffic_time_s`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
 OF_ROADS = tuple(name for name in EPISODE if name.startswith("entry_"))
 TIME_OF_TRAFFIC = "traffic_time_s"
+OPTIONAL = (TIME_OF_TRAFFIC, *OF_ROADS)
+"""The columns that not all files have."""
 
 COUNT: Mapping[str, Column] = {
     "episode": _SEED,
     "quantity": Column(
         "`speed` of a vehicle that follows a leader, or `dhw`, the distance headway at the start "
         "of a lane change.",
-        dtype=pl.String(),
+        TEXT,
     ),
     "bin": Column(
-        "Lower edge of the bin; the last bin, 99, has no upper edge.",
-        "0.5 m/s or 0.5 m",
-        pl.Int16(),
+        "Lower edge of the bin; the last bin, 99, has no upper edge.", I16, "0.5 m/s or 0.5 m"
     ),
     "count": Column("Vehicles counted in that bin, at all decisions together."),
 }
@@ -159,12 +147,10 @@ COUNT: Mapping[str, Column] = {
 DRIVER: Mapping[str, Column] = {
     "episode": _SEED,
     "agent": Column(
-        "Agent that drives the vehicles; for a network given by path, its copy in `networks`.",
-        dtype=pl.String(),
+        "Agent that drives the vehicles; for a network given by path, its copy in `networks`.", TEXT
     ),
     "is_ego": Column(
-        "Whether this is the ego's row; otherwise the row is one of the traffic.",
-        dtype=pl.Boolean(),
+        "Whether this is the ego's row; otherwise the row is one of the traffic.", BOOL
     ),
     "vehicles": Column("Vehicles that the agent drives."),
     "crashed": Column("Vehicles that collided or left the road."),
@@ -172,9 +158,9 @@ DRIVER: Mapping[str, Column] = {
     "rear_end_striking": Column("Vehicles that crashed into the rear of another vehicle."),
     "rear_end_struck": Column("Vehicles that were hit from behind."),
     "side": Column("Vehicles that crashed in a side collision."),
-    "distance_m": Column("Distance driven before the vehicles crashed.", "m", pl.Float64()),
-    "time_s": Column("Time driven before the vehicles crashed.", "s", pl.Float64()),
-    "harsh_s": Column("Time with more than 2.5 m/s², accelerating or braking.", "s", pl.Float64()),
+    "distance_m": Column("Distance driven before the vehicles crashed.", F64, "m"),
+    "time_s": Column("Time driven before the vehicles crashed.", F64, "s"),
+    "harsh_s": Column("Time with more than 2.5 m/s², accelerating or braking.", F64, "s"),
     "lane_changes": Column("Changes of the nearest lane."),
     "abandoned": Column("Lane changes given up before the new lane was the nearest lane."),
     "gaps_lost": Column("Lane changes given up because another vehicle took the gap."),
@@ -191,17 +177,15 @@ DRIVER: Mapping[str, Column] = {
     ),
     "near_misses_to": Column("Near misses that another vehicle caused."),
     "pet_by": Column("Encroachments of at most 5 s in which the vehicles cut in."),
-    "pet_by_sum_s": Column(
-        "Sum of the post-encroachment times (PET) in `pet_by`.", "s", pl.Float64()
-    ),
+    "pet_by_sum_s": Column("Sum of the post-encroachment times (PET) in `pet_by`.", F64, "s"),
     "pet_below_2s_by": Column("Encroachments in `pet_by` with a PET below 2 s."),
     "pet_to": Column("Encroachments of at most 5 s in which another vehicle cut in."),
-    "pet_to_sum_s": Column("Sum of the post-encroachment times in `pet_to`.", "s", pl.Float64()),
+    "pet_to_sum_s": Column("Sum of the post-encroachment times in `pet_to`.", F64, "s"),
     "pet_below_2s_to": Column("Encroachments in `pet_to` with a PET below 2 s."),
     "rss_by_s": Column(
-        "Time too close to a vehicle ahead by RSS, along and across the road.", "s", pl.Float64()
+        "Time too close to a vehicle ahead by RSS, along and across the road.", F64, "s"
     ),
-    "rss_to_s": Column("Time in which a vehicle behind was too close by RSS.", "s", pl.Float64()),
+    "rss_to_s": Column("Time in which a vehicle behind was too close by RSS.", F64, "s"),
 }
 """One row per episode and agent, and one more for the ego: sums over the agent's vehicles.
 
@@ -212,12 +196,9 @@ simulation, so other thresholds need a new simulation.
 """
 
 
-def _schema(columns: Mapping[str, Column]) -> pl.Schema:
-    return pl.Schema({name: column.dtype for name, column in columns.items()})
-
-
-STEP_SCHEMA, EPISODE_SCHEMA, COUNT_SCHEMA, DRIVER_SCHEMA = map(
-    _schema, (STEP, EPISODE, COUNT, DRIVER)
+STEP_SCHEMA, EPISODE_SCHEMA, COUNT_SCHEMA, DRIVER_SCHEMA = (
+    pl.Schema({name: column.dtype for name, column in columns.items()})
+    for columns in (STEP, EPISODE, COUNT, DRIVER)
 )
 SCHEMAS = {
     "steps": STEP_SCHEMA,
@@ -226,22 +207,10 @@ SCHEMAS = {
     "episodes": EPISODE_SCHEMA,
 }
 """The kinds of rows that a shard has."""
-LENGTHS = ("length", "leader_length", "follower_length")
-"""The columns that step rows of earlier versions lack: all vehicles had the profile's length."""
 NO_DRIVERS = DRIVER_SCHEMA.to_frame()
 """No driver rows."""
 DRIVER_KEYS = ("episode", "agent", "is_ego")
 DRIVER_SUMS = tuple(name for name in DRIVER if name not in DRIVER_KEYS)
-
-
-def with_lengths(steps: pl.DataFrame, standard_m: float) -> pl.DataFrame:
-    """Step rows in which a vehicle without a recorded length has the profile's."""
-    own, leader, follower = (pl.col(name).fill_null(standard_m) for name in LENGTHS)
-    return steps.with_columns(
-        own,
-        pl.when(pl.col("leader_distance").is_not_null()).then(leader).alias("leader_length"),
-        pl.when(pl.col("follower_distance").is_not_null()).then(follower).alias("follower_length"),
-    )
 
 
 def _record(schema: pl.Schema, names: Iterable[str]) -> np.dtype[np.void]:

@@ -22,24 +22,13 @@ from charms_bench.recording.columns import (
 from charms_bench.recording.conflict_onsets import note_conflicts
 from charms_bench.recording.encroachment import note_encroachments
 from charms_bench.recording.lane_changes import imposed_decisions, note_lane_changes
-from charms_bench.recording.primitives import NOBODY, Frames, distance_to
+from charms_bench.recording.primitives import NOBODY, Frames, distance_to, record
 from charms_bench.recording.rss import note_rss
 from charms_bench.world.road import Straight
 from charms_bench.world.scene import Bools, Ints
 from charms_bench.world.thresholds import HARSH_MPS2
 
-STATE = np.dtype(
-    [
-        ("place", np.float64),
-        ("cut_in", np.int32),
-        ("pressed", np.int32),
-        ("cutter", np.int16),
-        ("near", np.int16),
-        ("leader_began", np.bool_),
-        ("in_conflict", np.bool_),
-    ],
-    align=True,
-)
+STATE = record(f8="place", i4="cut_in pressed", i2="cutter near", b1="leader_began in_conflict")
 """Whom a vehicle has met at earlier decisions; -1 stands for no vehicle.
 
 near: The leader with which it has a near miss; `leader_began` and `in_conflict` describe that.

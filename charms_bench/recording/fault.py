@@ -24,7 +24,7 @@ import numpy as np
 from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION, STRIKING, vehicle_hit
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index, inlined
-from charms_bench.recording.primitives import Frames
+from charms_bench.recording.primitives import Frames, record
 from charms_bench.world.candidate_lanes import LEFT, RIGHT
 from charms_bench.world.gaps import gap_to, requires_braking
 from charms_bench.world.road import (
@@ -41,13 +41,7 @@ ENTERED_S = 2.0
 LANE_KEEPING_M = 0.25
 DRIFT_MPS = 0.1
 NEVER = -1_000_000
-_TIMES = ("moved_out", "moving_out", "entered")
-_STATE = np.dtype(
-    [
-        *((name, np.int32) for name in (*_TIMES, "left", "entrant")),
-        *((name, np.bool_) for name in ("on_both", "is_judged", "at_fault")),
-    ]
-)
+_STATE = record(i4="moved_out moving_out entered left entrant", b1="on_both is_judged at_fault")
 """What is remembered of a vehicle.
 
 moved_out: The decision at which it last began to move out of its lane; moving_out: the decision at
@@ -58,8 +52,7 @@ entrant, entered: The vehicle that last entered the lane ahead of it and require
 is_judged: Whether it has collided; at_fault: whether it was at fault then.
 """
 _NOTHING = np.zeros((), dtype=_STATE)
-for _name in _TIMES:
-    _NOTHING[_name] = NEVER
+_NOTHING["moved_out"] = _NOTHING["moving_out"] = _NOTHING["entered"] = NEVER
 
 
 class Fault:

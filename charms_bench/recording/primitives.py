@@ -21,25 +21,27 @@ from charms_bench.world.scene import Bools, Ints, Scene
 
 LONG_AGO = -1_000_000
 NOBODY = -1
-MOMENT = np.dtype(
-    [*((name, np.int64) for name in ("scene", "now", "before", "decision")), ("ends", np.bool_)],
-    align=True,
-)
+
+
+def record(**fields: str) -> np.dtype[np.void]:
+    """A type of records, from the names of its fields by NumPy's codes for their types."""
+    types = [(name, code) for code, names in fields.items() for name in names.split()]
+    return np.dtype(types, align=True)
+
+
+MOMENT = record(i8="scene now before decision", b1="ends")
 """When a frame was taken.
 
 now, before: The vehicles in this frame and at the decision before, or at the start.
 decision: The decision interval that the frame ends or is in, counted from 1.
 ends: Whether the episode has ended.
 """
-_FIELDS: dict[type, str] = {
-    np.float64: "x y heading direction_x direction_y speed acceleration steering length width",
-    np.int32: "lane_since target_since",
-    np.int16: "left_leader leader right_leader left_follower follower right_follower",
-    np.int8: "lane target_lane action collision",
-    np.bool_: "crashed is_on_road lost",
-}
-VEHICLE = np.dtype(
-    [(name, kind) for kind, names in _FIELDS.items() for name in names.split()], align=True
+VEHICLE = record(
+    f8="x y heading direction_x direction_y speed acceleration steering length width",
+    i4="lane_since target_since",
+    i2="left_leader leader right_leader left_follower follower right_follower",
+    i1="lane target_lane action collision",
+    b1="crashed is_on_road lost",
 )
 """A vehicle in a frame; fields without a comment are those of `Scene` and `Simulation`.
 

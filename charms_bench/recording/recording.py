@@ -12,8 +12,8 @@ from charms_bench.engine.endings import ENDINGS, OFF_ROAD, REAR_END
 from charms_bench.engine.simulation import Simulation
 from charms_bench.recording.columns import (
     EPISODE_SCHEMA,
-    OF_ROADS,
     OF_TRAFFIC,
+    OPTIONAL,
     TIME_OF_TRAFFIC,
     table,
 )
@@ -116,20 +116,16 @@ class Recording:
             "traffic_crashed": (is_lost & is_traffic).sum(axis=1) + self._left_lost,
             "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1) + self._gone_m,
         }
-        schema = EPISODE_SCHEMA.copy()
         if self._kept.changes:
             decision_s = 1 / simulation.settings.decision_hz
             columns[TIME_OF_TRAFFIC] = self._traffic_decisions * decision_s
-        else:
-            del schema[TIME_OF_TRAFFIC]
         if self._on_network:
             measures = simulation.engine.measures.items()
             # Nobody judges who had the right of way.
             columns |= dict.fromkeys(("at_fault", *OF_TRAFFIC))
             columns |= {name: pl.Series(values).fill_nan(None) for name, values in measures}
-        else:
-            for name in OF_ROADS:
-                del schema[name]
+        names = [name for name in EPISODE_SCHEMA if name in columns or name not in OPTIONAL]
+        schema = pl.Schema({name: EPISODE_SCHEMA[name] for name in names})
         return table(columns, schema).sort("episode")
 
     def counts(self) -> pl.DataFrame:

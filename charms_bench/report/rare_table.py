@@ -11,7 +11,7 @@ from charms_bench.errors import RunFolderError
 from charms_bench.report.number import Number
 from charms_bench.report.stored import read_table
 from charms_bench.report.table import LONG, Column, Table, long_schema
-from charms_bench.runs.manifest import MANIFEST_LIMIT_BYTES, read_manifest
+from charms_bench.runs.manifest import read_manifest
 from charms_bench.runs.rare import MANIFEST, RareCell
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import wilson
@@ -69,7 +69,7 @@ def stored_rare(folder: Path) -> Table:
     Raises:
         RunFolderError: It is not finished, or a file cannot be used.
     """
-    manifest = read_manifest(folder / MANIFEST, MANIFEST_LIMIT_BYTES)
+    manifest = read_manifest(folder / MANIFEST)
     paths = sorted((folder / "tables").glob("*.csv"))
     if not paths:
         raise RunFolderError(f"{folder}: is not finished; the same command continues there")

@@ -23,7 +23,7 @@ from charms_bench.report.bars import Scale, line
 from charms_bench.report.stored import holds, read_csv
 from charms_bench.report.table import Column, Table
 from charms_bench.report.terminal import WIDEST
-from charms_bench.runs.resumable_folder import MANIFEST_LIMIT_BYTES
+from charms_bench.runs.manifest import MANIFEST_LIMIT_BYTES
 
 STAGES, CURVES, COLUMNS = "stages.csv", "curves.csv", "columns.json"
 Form = Annotated[str, Field(pattern=r"^(,?\.\d[fg%])?$")]

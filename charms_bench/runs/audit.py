@@ -37,11 +37,8 @@ def audit_run(
     """Yields what is found about the software, files, networks and rows of an evaluation.
 
     `shards`, `seed` and `workers` are those of `charms_bench.audit`. `progress` is called for every
-    shard that has been simulated, and `notice` with a message about a problem that was solved.
-
-    Raises:
-        RunFolderError: The folder holds no run.
-        CharmsBenchError: A shard cannot be simulated.
+    shard that has been simulated, and `notice` with a message about a problem that was solved. An
+    error is raised if the folder holds no run, or a shard cannot be simulated.
     """
     cells = planned_again(folder, suite, folder.finished())
     engine = folder.engine()
@@ -99,20 +96,16 @@ def first_difference(stored: pl.DataFrame, again: pl.DataFrame) -> str:
     if len(stored) != len(again):
         return f"has {counted(len(stored), 'row')}; simulated again, {len(again):,}"
     # On the straight road, rows are written without the columns of the others.
-    lacking = [
-        pl.lit(None, kind).alias(name) for name, kind in stored.schema.items() if name not in again
-    ]
-    again = again.with_columns(lacking).select(stored.columns)
-    unequal = [~stored[name].eq_missing(again[name]) for name in stored.columns]
-    wrong = np.any([each.to_numpy() for each in unequal], axis=0)
-    if not wrong.any():
+    again = pl.concat([stored.clear(), again], how="diagonal").select(stored.columns)
+    unequal = pl.DataFrame([~stored[name].eq_missing(again[name]) for name in stored.columns])
+    wrong = unequal.select(pl.any_horizontal("*")).to_series().arg_true()
+    if not len(wrong):
         return ""
-    row = int(wrong.argmax())
-    column = next(name for name, each in zip(stored.columns, unequal, strict=True) if each[row])
+    row = wrong[0]
+    column = next(name for name in stored.columns if unequal[name][row])
     keys = [name for name in ("episode", "step", "agent", "quantity", "bin") if name in again]
     place = ", ".join(f"{name} {again[name][row]}" for name in keys if name != column)
-    more = int(wrong.sum()) - 1
-    others = f", and {more} more rows differ" if more else ""
+    others = f", and {len(wrong) - 1} more rows differ" if len(wrong) > 1 else ""
     return (
         f"row {row + 1} ({place}): {column} is {stored[column][row]}; simulated again, "
         f"{again[column][row]}{others}"

@@ -13,7 +13,6 @@ import polars as pl
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import read_limited
 from charms_bench.foundation.words import counted
-from charms_bench.plugins.registry import is_network
 from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.audit_finding import Finding
 from charms_bench.runs.audit_software import Planned, names_installed_code
@@ -69,7 +68,7 @@ def _shards(
     """Whether every shard of the suite is there once, with the right key and with its episodes."""
     manifest = folder.manifest()
     is_own = names_installed_code(manifest) or any(cell.own for cell in cells)
-    places, hashes = places_of(suite, folder.engine()), folder.network_hashes()
+    places, drivers = places_of(suite, folder.engine()), folder.drivers(suite)
     by_place: dict[tuple[int, int], str] = {}
     for name in sorted(names):
         where, shard = f"{CHECKSUMS}/{name}.sha256", shard_named(name, places)
@@ -82,9 +81,7 @@ def _shards(
         for path in folder.damaged_files(shard):
             where = path.relative_to(folder.path).as_posix()
             yield Finding("files", where, "fail", "is missing or does not match its checksum")
-        ego = suite.egos[shard.cell // len(suite.traffics)].agent
-        agent = f"{hashes.get(ego.name)}.onnx" if is_network(ego.name) else ego.key
-        yield from _rows(folder, shard, agent, is_own)
+        yield from _rows(folder, shard, drivers[shard.cell // len(suite.traffics)], is_own)
     for (index, first), episodes in places.items():
         if (index, first) not in by_place:
             last = first + episodes - 1

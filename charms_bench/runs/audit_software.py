@@ -73,7 +73,8 @@ def audit_software(
     manifest: Mapping[str, Any], suite: Suite, engine: EngineName, cells: Sequence[Planned]
 ) -> Iterator[Finding]:
     """Yields where the manifest of a run differs from what the installed software writes."""
-    sha256 = suite_sha256_of(manifest)
+    text = json.dumps(manifest.get("suite"), sort_keys=True)  # as in `Suite.fingerprint`
+    sha256 = hashlib.sha256(text.encode()).hexdigest()
     if manifest.get("suite_sha256") != sha256:
         what = f"is not the hash of the suite in {MANIFEST}, {sha256}"
         yield Finding("software", "suite_sha256", "fail", what)
@@ -86,11 +87,6 @@ def audit_software(
         for field, said, expected in differing_fields(one, other):
             what = f"is {said!r}; the code of the run writes {expected!r}"
             yield Finding("software", field, "fail", what)
-
-
-def suite_sha256_of(manifest: Mapping[str, Any]) -> str:
-    """Returns the hash of the suite in a manifest; see `Suite.fingerprint`."""
-    return hashlib.sha256(json.dumps(manifest.get("suite"), sort_keys=True).encode()).hexdigest()
 
 
 def names_installed_code(manifest: Mapping[str, Any]) -> bool:

@@ -50,11 +50,7 @@ class CellRows:
         return pl.concat(steps for _, steps in self.parts)
 
     def sums(self, metrics: Sequence[Metric], settings: SceneSettings) -> list[Floats]:
-        """Returns the sums [E, k] of each metric, by episode.
-
-        Raises:
-            RegistryError: The sums of a metric are not those of its kind.
-        """
+        """The sums [E, k] of each metric; a `RegistryError` if they are not those of its kind."""
         ends = np.cumsum([len(metric.sums) for metric in metrics])
         whole = np.empty((self.size, ends[-1]))
         start = 0

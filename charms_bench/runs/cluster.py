@@ -35,17 +35,6 @@ def on_cluster(address: str) -> SimulateAll:
 
     Raises an `InputError` if the address has another form, or Dask is not installed.
     """
-    _check_address(address)
-    try:
-        import distributed  # noqa: F401  # only whether it is installed
-    except ImportError as error:
-        raise InputError(
-            f"--cluster needs Dask ({error}); pip install 'charms-bench[cluster]'"
-        ) from error
-    return partial(_simulate_all, address)
-
-
-def _check_address(address: str) -> None:
     try:
         url = urlsplit(address)
         rest = url.path or url.query or url.fragment or url.username
@@ -57,6 +46,13 @@ def _check_address(address: str) -> None:
             f"--cluster {address}: expected tcp://HOST:PORT or tls://HOST:PORT, as the scheduler "
             "prints it when it starts"
         )
+    try:
+        import distributed  # noqa: F401  # only whether it is installed
+    except ImportError as error:
+        raise InputError(
+            f"--cluster needs Dask ({error}); pip install 'charms-bench[cluster]'"
+        ) from error
+    return partial(_simulate_all, address)
 
 
 def _simulate_all(

@@ -1,7 +1,6 @@
 """Reads YAML files from users into validated models; errors name file, line and field."""
 
 import re
-import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -9,7 +8,7 @@ from typing import Any, ClassVar, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from charms_bench.errors import InputError, RenamedKeyWarning, SuiteError, first_problem
+from charms_bench.errors import InputError, SuiteError, first_problem, problem_in
 from charms_bench.foundation.files import absolute, read_limited
 from charms_bench.runs.packaged import suite_file
 
@@ -40,19 +39,12 @@ _AMBIGUOUS = (
 
 
 class Document:
-    """A YAML mapping that knows on which line each of its values is; see `_Loader`.
-
-    Args:
-        path: The file, or the name of a suite that is installed with the package.
-
-    Raises:
-        SuiteError: The file cannot be read, or `_Loader` refuses it.
-    """
+    """A YAML mapping that knows on which line each of its values is."""
 
     def __init__(self, path: Path) -> None:
+        """Reads a file, or an installed suite by name; raises a `SuiteError`, see `_Loader`."""
         path = suite_file(path)
         self.path, self.folder = path, absolute(path).parent
-        self._renamed: dict[str, str] = {}
         try:
             self._root, self.data = _parsed(read_limited(path, SIZE_LIMIT_BYTES).decode())
         except OSError as error:
@@ -60,37 +52,26 @@ class Document:
         except UnicodeDecodeError as error:
             raise SuiteError(f"{path}: is not UTF-8 text: {error.reason}") from error
         except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark
-            what = error.problem or "cannot be read"
-            if not isinstance(error, _Refused):
-                what = f"is not YAML: {what}"
-            raise self._at(mark.line if mark else 0, what) from error
+            what = "" if isinstance(error, _Refused) else "is not YAML: "
+            what += error.problem or "cannot be read"
+            raise self._at(error.problem_mark.line if error.problem_mark else 0, what) from error
         except yaml.YAMLError as error:
-            raise SuiteError(f"{path}: is not YAML: {_on_one_line(error)}") from error
+            raise SuiteError(f"{path}: is not YAML: {problem_in(error)}") from error
         if not isinstance(self.data, dict):
             raise self._at(0, "expected a mapping of keys to values")
 
     def validate(self, model: type[M]) -> M:
         """Returns the document as a model; raises a `SuiteError` that names the first problem."""
-        context = {"folder": self.folder, "renamed": self._renamed}
         try:
-            found = model.model_validate(self.data, context=context)
+            return model.model_validate(self.data, context={"folder": self.folder})
         except ValidationError as error:
             raise self.error(*first_problem(error)) from error
-        for new, old in self._renamed.items():
-            said = self.error(self.place_of(old, ()), f"this key is now called '{new}'")
-            warnings.warn(str(said), RenamedKeyWarning, stacklevel=2)
-        return found
-
-    def key(self, name: str) -> str:
-        """Returns the name that a key has in this document: its own, or that of before."""
-        return self._renamed.get(name, name)
 
     def error(self, location: Location, what: str) -> SuiteError:
         """Returns the error for what is wrong at a location."""
         node, line, named = self._root, 0, ""
         for part in location:
-            child = _child(node, part) or _child(node, self.key(str(part)))
+            child = _child(node, part)
             if child is None:
                 # A missing key, or the name that pydantic gives to a variant of a union.
                 if isinstance(part, str) and isinstance(node, yaml.MappingNode):
@@ -107,7 +88,7 @@ class Document:
         """
         value = self.data
         for part in within:
-            value = value[self.key(part) if isinstance(part, str) else part]
+            value = value[part]
         return (*within, *next(_places(value, text), ()))
 
     def _at(self, line: int, what: str) -> SuiteError:
@@ -130,7 +111,7 @@ def value_of(text: str) -> Any:
     except yaml.MarkedYAMLError as error:
         raise ValueError(error.problem) from error
     except yaml.YAMLError as error:
-        raise ValueError(_on_one_line(error)) from error
+        raise ValueError(problem_in(error)) from error
 
 
 def name_and_options(text: str, what: str) -> tuple[str, dict[str, Any]]:
@@ -154,7 +135,10 @@ def name_and_options(text: str, what: str) -> tuple[str, dict[str, Any]]:
 
 
 class _Refused(yaml.MarkedYAMLError):
-    """Valid YAML of a kind that no suite needs."""
+    """Valid YAML of a kind that no suite needs, at an event or a node."""
+
+    def __init__(self, what: str, at: Any) -> None:
+        super().__init__(problem=what, problem_mark=at.start_mark)
 
 
 class _Loader(yaml.SafeLoader):
@@ -170,14 +154,14 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]  # of PyYAML
         if isinstance(event, yaml.AliasEvent):
-            raise _refused("aliases (*name) are not supported", event)
+            raise _Refused("aliases (*name) are not supported", event)
         if (
             isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent)
             and event.tag is not None
         ):
-            raise _refused("tags (!name) are not supported", event)
+            raise _Refused("tags (!name) are not supported", event)
         if self._depth == DEPTH_LIMIT:
-            raise _refused(f"nested more than {DEPTH_LIMIT} deep", event)
+            raise _Refused(f"nested more than {DEPTH_LIMIT} deep", event)
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
@@ -186,7 +170,7 @@ class _Loader(yaml.SafeLoader):
         if isinstance(node, yaml.ScalarNode) and node.style is None:
             _check_plain(node)
         if node is not None and node.tag.endswith(":int") and len(node.value) > DIGITS_LIMIT:
-            raise _refused(f"a number has more than {DIGITS_LIMIT} digits", event)
+            raise _Refused(f"a number has more than {DIGITS_LIMIT} digits", event)
         return node
 
 
@@ -199,7 +183,7 @@ for _tag, (_pattern, _first) in _PLAIN.items():
 def _check_plain(node: yaml.ScalarNode) -> None:
     for pattern, what in _AMBIGUOUS:
         if re.fullmatch(pattern, node.value):
-            raise _refused(
+            raise _Refused(
                 f"{node.value} is {what} in some versions of YAML; write the number without "
                 f"leading zeros, true or false, or a text as '{node.value}' in quotes",
                 node,
@@ -220,21 +204,12 @@ def _check_keys(node: yaml.MappingNode) -> None:
     seen: set[str] = set()
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise _refused("a key must be a word, not a list or a mapping", key)
+            raise _Refused("a key must be a word, not a list or a mapping", key)
         if key.value == "<<":
-            raise _refused("merge keys (<<) are not supported", key)
+            raise _Refused("merge keys (<<) are not supported", key)
         if key.value in seen:
-            raise _refused(f"the key '{key.value}' is given twice", key)
+            raise _Refused(f"the key '{key.value}' is given twice", key)
         seen.add(key.value)
-
-
-def _refused(what: str, at: Any) -> _Refused:
-    """Returns the error for an event or a node."""
-    return _Refused(problem=what, problem_mark=at.start_mark)
-
-
-def _on_one_line(error: yaml.YAMLError) -> str:
-    return " ".join(str(error).split())
 
 
 def _child(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | None:

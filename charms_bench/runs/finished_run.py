@@ -1,6 +1,6 @@
 """Finished runs, opened from their folders: the rows of every cell."""
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -62,11 +62,7 @@ class FinishedRun:
         )
 
     def left_out(self, index: int) -> pl.Series:
-        """Returns the seeds of the episodes of a cell that are left out.
-
-        Raises:
-            SuiteError: They are all of its episodes.
-        """
+        """The seeds of a cell's episodes that are left out; a `SuiteError` if these are all."""
         suite, cell = self.suite, self.suite.cells[index]
         if not self.leaves_out or cell.scene.scenario is None:
             return _NO_SEEDS
@@ -89,11 +85,7 @@ class FinishedRun:
         return {}
 
     def following(self) -> list[TrafficCounts]:
-        """Returns what the vehicles of every finished cell did while they followed a leader.
-
-        Raises:
-            RunFolderError: A file is missing or has changed since it was written.
-        """
+        """What the vehicles of every finished cell did while they followed a leader; see `cell`."""
         return [
             TrafficCounts.of(
                 self.suite.cells[index].traffic.title,
@@ -110,9 +102,9 @@ class FinishedRun:
     @cached_property
     def _of_cells(self) -> Mapping[int, Sequence[Shard]]:
         """The shards of each cell; a suite can have 10,000 cells."""
-        found: dict[int, list[Shard]] = {index: [] for index in range(len(self.suite.cells))}
+        found: defaultdict[int, list[Shard]] = defaultdict(list)
         for shard in self.shards:
-            found.setdefault(shard.cell, []).append(shard)
+            found[shard.cell].append(shard)
         return found
 
 
@@ -139,8 +131,7 @@ class _Parts:
 def read_rows(folder: RunFolder, kinds: tuple[str, ...], shards: Sequence[Shard]) -> Rows:
     """Returns rows of some kinds of some shards; step rows come with their episode rows.
 
-    Raises:
-        RunFolderError: A file cannot be used, or step rows are not those of the episode rows.
+    Raises a `RunFolderError` if a file cannot be used, or step rows are not of the episode rows.
     """
     rows = tuple(folder.read(kind, shards) for kind in kinds)
     if kinds == EPISODES_AND_STEPS and (what := problem_of_steps(*rows)):
@@ -151,20 +142,16 @@ def read_rows(folder: RunFolder, kinds: tuple[str, ...], shards: Sequence[Shard]
 def open_finished(path: Path) -> FinishedRun:
     """Opens a finished run; its folder is all that it needs.
 
-    Raises:
-        RunFolderError: The folder holds no run, an unfinished one, or a damaged one.
+    Raises a `RunFolderError` if the folder holds no run, an unfinished one, or a damaged one.
     """
     folder = RunFolder(path)
     suite = folder.suite()
-    shards = folder.shards(suite)
-    episodes: Counter[int] = Counter()
-    for shard in shards:
-        episodes[shard.cell] += shard.episodes
+    run = FinishedRun(suite, folder, folder.shards(suite))
     for index, cell in enumerate(suite.cells):
-        present = episodes[index]
+        present = sum(shard.episodes for shard in run._of_cells[index])
         if present != suite.episodes:
             raise RunFolderError(
                 f"{path}: holds {present:,} of {suite.episodes:,} episodes of {cell.title}; "
                 "finish the run with `charms-bench run`"
             )
-    return FinishedRun(suite, folder, shards)
+    return run

@@ -148,19 +148,15 @@ def likeness(suite: Suite, against: Standard) -> Iterator[Likeness]:
     for label, driven in against.references.items():
         yield _scored("reference", label, against, driven)
     first_ego, first_traffic = suite.egos[0].agent, suite.traffics[0].traffic
-    for ego in suite.egos:
-        traffic = first_traffic.make()
-        agents = _agents(suite, ego.agent, traffic)
-        name = ego.agent.key
-        lanes = count_lanes(suite.scene, name, name, traffic, agents, suite.episodes)
-        driven = drive_behind(against.parts, suite.scene, name, agents, lanes)
-        yield _scored("ego", ego.title, against, driven)
-    for entry in suite.traffics:
-        traffic = entry.traffic.make()
-        agents = _agents(suite, first_ego, traffic)
-        lanes = count_lanes(suite.scene, traffic, first_ego.key, traffic, agents, suite.episodes)
-        driven = drive_behind(against.parts, suite.scene, traffic, agents, lanes)
-        yield _scored("traffic", entry.title, against, driven)
+    asked = [("ego", each.title, each.agent, first_traffic) for each in suite.egos]
+    asked += [("traffic", each.title, first_ego, each.traffic) for each in suite.traffics]
+    for kind, label, ego, spec in asked:
+        traffic = spec.make()
+        agents = _agents(suite, ego, traffic)
+        driver = ego.key if kind == "ego" else traffic
+        lanes = count_lanes(suite.scene, driver, ego.key, traffic, agents, suite.episodes)
+        driven = drive_behind(against.parts, suite.scene, driver, agents, lanes)
+        yield _scored(kind, label, against, driven)
 
 
 def likeness_of_controls(suite: Suite, against: Standard) -> Iterator[Likeness]:

@@ -16,11 +16,8 @@ def locked(folder: Path) -> Iterator[None]:
     """Keeps other processes out of a folder, which is made if it does not exist.
 
     The operating system releases the lock when the process ends, even if it is killed. The lock
-    file stays.
-
-    Raises:
-        RunFolderError: Another process uses the folder, it cannot be written to, or it holds links,
-            behind which a file outside could be written or deleted.
+    file stays. A `RunFolderError` says that another process uses the folder, that it cannot be
+    written to, or that it holds links, behind which a file outside could be written or deleted.
     """
     lock = FileLock(folder / LOCK, timeout=0)
     try:

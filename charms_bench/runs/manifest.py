@@ -1,7 +1,8 @@
 """What a folder with a manifest holds: it is compared before anything in the folder is changed."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -10,11 +11,12 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from charms_bench.errors import RunFolderError, first_problem
-from charms_bench.foundation.files import json_of, read_file, write_bytes
+from charms_bench.foundation.files import PARTIAL, json_of, read_file, write_bytes
 from charms_bench.runs.lock import locked
-from charms_bench.runs.suite import PRESENTATION, Suite
+from charms_bench.runs.suite import Suite
 
-MANIFEST_LIMIT_BYTES = 2**26
+MANIFEST_LIMIT_BYTES = 2**24
+"""Twenty times the largest manifest; JSON takes fifty times its size in memory."""
 
 
 class RunFields(BaseModel):
@@ -42,10 +44,10 @@ def check_fields(path: Path, manifest: dict[str, Any]) -> None:
         raise RunFolderError(f"{path}: {'.'.join(map(str, place))}: {what}") from error
 
 
-def read_manifest(path: Path, limit: int) -> Any:
-    """The content of a JSON file of at most `limit` bytes; raises a `RunFolderError`."""
+def read_manifest(path: Path) -> Any:
+    """The content of a manifest; raises a `RunFolderError` if it is not JSON or too large."""
     try:
-        return json_of(read_file(path, limit), object_pairs_hook=_given_once)
+        return json_of(read_file(path, MANIFEST_LIMIT_BYTES), object_pairs_hook=_given_once)
     except ValueError as error:
         raise RunFolderError(f"{path}: is not JSON: {error}") from error
 
@@ -66,11 +68,9 @@ def opened(
     """Locks a folder with a manifest; a folder with something else is not changed.
 
     The folder is made if it does not exist. If it has a manifest, which `read` reads, it must have
-    the fields `ours`; `kind` is what messages call its content.
-
-    Raises:
-        RunFolderError: The folder holds something else, another process uses it, or it cannot be
-            read or written.
+    the fields `ours`; `kind` is what messages call its content. What an interruption has left half
+    written is deleted. A `RunFolderError` says what else the folder holds, that another process
+    uses it, or that it cannot be read or written.
     """
     path = folder / manifest
     try:
@@ -94,23 +94,29 @@ def opened(
                 f"{folder} holds another {kind}: {field.removeprefix('suite.')} was {was}, now "
                 f"{now}; choose another folder with --output, or delete this one"
             )
+        for each in (folder, *(path for path in folder.glob("*") if path.is_dir())):
+            delete(each, PARTIAL)
         yield
+
+
+def delete(folder: Path, pattern: str, kept: Collection[str] = ()) -> None:
+    """Deletes the files of a folder whose names match, except those whose stems are kept."""
+    try:
+        for path in sorted(folder.glob("*")):
+            is_file = path.is_file() and not path.is_symlink()
+            if is_file and re.fullmatch(pattern, path.name) and path.stem not in kept:
+                path.unlink()
+    except OSError as error:
+        raise RunFolderError(f"{error.filename}: cannot be deleted: {error.strerror}") from error
 
 
 @contextmanager
 def opened_for_suite(
     folder: Path, manifest: str, kind: str, suite: Suite, others: Mapping[str, Any]
 ) -> Iterator[None]:
-    """Opens a folder as `opened` does, and writes its manifest: some fields and the suite.
-
-    It can be interrupted at any time; what is half written then is deleted here.
-    """
-    fields = json.loads(suite.model_dump_json(exclude={"episodes", *PRESENTATION}))
-    ours, path = {**others, "suite": fields}, folder / manifest
-    read = partial(read_manifest, path, MANIFEST_LIMIT_BYTES)
-    with opened(folder, manifest, kind, ours, read):
-        for left in folder.glob("**/.*.partial"):
-            left.unlink()
+    """Opens a folder as `opened` does, and writes its manifest: some fields and the suite."""
+    ours, path = {**others, "suite": suite.deciding()}, folder / manifest
+    with opened(folder, manifest, kind, ours, partial(read_manifest, path)):
         write_bytes(path, (json.dumps(ours, indent=2, ensure_ascii=False) + "\n").encode())
         yield
 

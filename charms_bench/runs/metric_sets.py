@@ -13,16 +13,10 @@ from typing import get_args
 import numpy as np
 import polars as pl
 
-from charms_bench.errors import (
-    PLUGIN_ERRORS,
-    CharmsBenchError,
-    InputError,
-    RegistryError,
-    suggestion,
-)
+from charms_bench.errors import PLUGIN_ERRORS, InputError, RegistryError, suggestion
 from charms_bench.metrics import METRIC_SETS, SCENARIOS, Metric, MetricSet, sums_by_episode
 from charms_bench.metrics.metric import Interval
-from charms_bench.plugins.registry import METRICS, load
+from charms_bench.plugins.registry import METRICS, load, make
 from charms_bench.recording.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.runs.document import name_and_options
 from charms_bench.world.scene import SceneSettings
@@ -63,20 +57,10 @@ def _metric_set(text: str, usual: Mapping[str, str]) -> MetricSet:
     if name in usual:
         options = {**name_and_options(f"{name}:{usual[name]}", "metric set")[1], **options}
     made = load(METRICS, name)
-    if isinstance(made, MetricSet) and options:
+    if not isinstance(made, MetricSet):
+        made = make(METRICS, name, options, MetricSet)
+    elif options:
         raise InputError(f"metric set '{name}' takes no options; given: {', '.join(options)}")
-    if not isinstance(made, MetricSet):
-        try:
-            made = made(**options)
-        except CharmsBenchError:
-            raise
-        except PLUGIN_ERRORS as error:
-            raise RegistryError(
-                f"metric set '{name}' cannot be made (options: {', '.join(options) or 'none'}): "
-                f"{type(error).__name__}: {error}"
-            ) from error
-    if not isinstance(made, MetricSet):
-        raise RegistryError(f"metric set '{name}' is a {type(made).__name__}, not a MetricSet")
     _try_out(made)
     return replace(made, options=",".join(f"{key}={value}" for key, value in options.items()))
 

@@ -90,25 +90,16 @@ def _matched(first: FinishedRun, second: FinishedRun, agents: list[tuple[str, st
                 raise InputError(
                     f"{run.folder.path}: no ego named '{name}'. {suggestion(name, known)}"
                 )
-    ours = {(cell.agent, cell.traffic): cell for cell in first.cells()}
-    same = first is second
-    theirs = ours if same else {(cell.agent, cell.traffic): cell for cell in second.cells()}
-    # Labels of traffics may differ, but `check_same_episodes` has compared the traffics.
-    traffics = zip(first.suite.traffics, second.suite.traffics, strict=True)
-    pairs = [
-        (ours[one, traffic.title], theirs[other, its_twin.title])
-        for traffic, its_twin in traffics
-        for one, other in agents
-    ]
-    return pairs if same else [_told_apart(first, second, pair) for pair in pairs]
-
-
-def _told_apart(first: FinishedRun, second: FinishedRun, pair: Pair) -> Pair:
-    """Returns the pair; agents with equal names get the paths of their runs added."""
-    one, other = pair
-    if one.agent != other.agent:
-        return pair
-    return (
-        replace(one, agent=f"{one.agent} ({first.folder.path})"),
-        replace(other, agent=f"{other.agent} ({second.folder.path})"),
+    ours, theirs = (
+        {(cell.agent, cell.traffic): cell for cell in run.cells()} for run in (first, second)
     )
+    pairs = []
+    # Labels of traffics may differ, but `check_same_episodes` has compared the traffics.
+    for traffic, its_twin in zip(first.suite.traffics, second.suite.traffics, strict=True):
+        for one, other in agents:
+            mine, its = ours[one, traffic.title], theirs[other, its_twin.title]
+            if mine.agent == its.agent:
+                mine = replace(mine, agent=f"{one} ({first.folder.path})")
+                its = replace(its, agent=f"{other} ({second.folder.path})")
+            pairs.append((mine, its))
+    return pairs

@@ -4,7 +4,7 @@ The folder has a manifest and one file per finished pilot or run of subset simul
 written whole or not at all, so an interrupted estimation continues with the runs that are missing.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.checked_result import read_result, write_result
 from charms_bench.runs.manifest import opened_for_suite
 from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_of
-from charms_bench.runs.runner import combined, note_failure, on_this_machine
+from charms_bench.runs.runner import combined, note_failures, on_this_machine
 from charms_bench.runs.shard import forget_agents, traffic_of
 from charms_bench.runs.suite import Cell, Suite
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
@@ -36,9 +36,6 @@ DRAWS_LIMIT = 2**27
 RUN_LIMIT_S = 4 * 3600.0
 """Far longer than a run takes whose agents answer."""
 _SUBSET_RUN = TypeAdapter(SubsetRun)
-
-Place = tuple[int, int]
-"""The index of a cell and the number of a run; 0 is the pilot."""
 
 
 @dataclass(frozen=True)
@@ -89,29 +86,20 @@ def run_rare(
         cell.scene.check_straight("rare events are estimated on")
     failed: dict[int, CharmsBenchError] = {}
 
-    def finished(tasks: Mapping[Place, RareTask]) -> dict[Place, SubsetRun]:
-        """The runs or pilots of some tasks, from the folder if they are there."""
-        found: dict[Place, SubsetRun] = {}
-        missing: dict[RareTask, Place] = {}
-        for place, task in tasks.items():
-            if (made := read_result(_file(output, place, task), _SUBSET_RUN)) is None:
-                missing[task] = place
-            else:
-                found[place] = made
-                progress(suite.cells[place[0]], 1)
-
-        def fail(task: RareTask, error: CharmsBenchError) -> Collection[RareTask]:
-            cell, _ = missing[task]
-            note_failure(suite, cell, error, failed, notice)
-            return {each for each, place in missing.items() if place[0] == cell}
-
+    def finished(tasks: Sequence[RareTask]) -> dict[tuple[int, int], SubsetRun]:
+        """The runs or pilots of some tasks by their places, from the folder if they are there."""
+        kept = {task: read_result(_file(output, task), _SUBSET_RUN) for task in tasks}
+        found = {task.place: made for task, made in kept.items() if made is not None}
+        for cell, _ in found:
+            progress(suite.cells[cell], 1)
+        missing = [task for task, made in kept.items() if made is None]
+        fail = note_failures(suite, failed, notice, missing)
         running = on_this_machine(estimate, "batched", workers, missing, RUN_LIMIT_S, notice, fail)
         with closing(running):
             for task, made in running:
-                place = missing[task]
-                write_result(_file(output, place, task), asdict(made))
-                found[place] = made
-                progress(suite.cells[place[0]], 1)
+                write_result(_file(output, task), asdict(made))
+                found[task.place] = made
+                progress(suite.cells[task.cell], 1)
         return found
 
     ours = {"format": FORMAT, "event": event, "samples": samples}
@@ -119,11 +107,23 @@ def run_rare(
         tasks = _pilots(suite, event, samples)
         try:
             pilots = finished(tasks)
-            made = finished(_runs(tasks, pilots, runs))
+            made = finished(
+                [
+                    replace(
+                        task,
+                        title=f"{suite.cells[task.cell].title}, run {run}",
+                        run=run,
+                        pilot=pilots[task.place],
+                    )
+                    for task in tasks
+                    if task.place in pilots  # else it has failed
+                    for run in range(1, runs + 1)
+                ]
+            )
             if len(failed) == len(suite.cells):
                 raise combined(suite, failed)
         except CharmsBenchError as error:
-            if any(_file(output, *pilot).exists() for pilot in tasks.items()):
+            if any(_file(output, pilot).exists() for pilot in tasks):
                 error.add_note(f"finished runs are in {output}; the same command continues there")
             raise
     return [
@@ -139,15 +139,16 @@ def damaged_files(folder: Path) -> list[Path]:
     return [path for path in files if read_result(path, _SUBSET_RUN) is None]
 
 
-def _pilots(suite: Suite, event: str, samples: int) -> dict[Place, RareTask]:
+def _pilots(suite: Suite, event: str, samples: int) -> list[RareTask]:
     """Returns the pilot of each cell."""
     forget_agents()
-    tasks = {}
+    tasks = []
     for index, cell in enumerate(suite.cells):
         ego, traffic = cell.ego.agent, cell.traffic.traffic
         networks = networks_of(ego, traffic_of(traffic), suite.folder)
-        tasks[index, 0] = RareTask(
+        task = RareTask(
             title=f"{cell.title}, pilot",
+            cell=index,
             scene=suite.scene,
             ego=ego,
             traffic=traffic,
@@ -157,23 +158,9 @@ def _pilots(suite: Suite, event: str, samples: int) -> dict[Place, RareTask]:
             samples=samples,
             seed=suite.seed,
         )
+        tasks.append(task)
     return tasks
 
 
-def _runs(
-    pilot_tasks: Mapping[Place, RareTask], pilots: Mapping[Place, SubsetRun], runs: int
-) -> dict[Place, RareTask]:
-    """Returns the runs of each cell that has a pilot; their numbers start from 1."""
-    tasks = {}
-    for (index, _), task in pilot_tasks.items():
-        if (index, 0) not in pilots:
-            continue  # it has failed
-        of_cell = task.title.removesuffix("pilot")
-        for run in range(1, runs + 1):
-            title, pilot = f"{of_cell}run {run}", pilots[index, 0]
-            tasks[index, run] = replace(task, title=title, run=run, pilot=pilot)
-    return tasks
-
-
-def _file(folder: Path, place: Place, task: RareTask) -> Path:
-    return folder / "runs" / f"{place[0]:03d}-{place[1]:03d}-{task.key[:16]}.json"
+def _file(folder: Path, task: RareTask) -> Path:
+    return folder / "runs" / f"{task.cell:03d}-{task.run:03d}-{task.key[:16]}.json"

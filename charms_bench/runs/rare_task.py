@@ -49,6 +49,11 @@ class RareTask(CellTask):
     pilot: SubsetRun | None = None
     """None if this is the pilot."""
 
+    @property
+    def place(self) -> tuple[int, int]:
+        """The index of its cell and its number."""
+        return self.cell, self.run
+
 
 def event_of(text: str) -> Event:
     """The event that a text like `crash` or `ttc:below_s=1.5` asks for; raises an `InputError`."""

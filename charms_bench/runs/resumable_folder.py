@@ -9,7 +9,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -20,12 +20,12 @@ import polars as pl
 from charms_bench import __version__
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import RunFolderError, problem_in
-from charms_bench.foundation.files import PARTIAL, read_file, read_limited, write_bytes
+from charms_bench.foundation.files import read_file, read_limited, write_bytes
 from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import is_network
 from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
-from charms_bench.runs.manifest import check_fields, opened, read_manifest
+from charms_bench.runs.manifest import check_fields, delete, opened, read_manifest
 from charms_bench.runs.shard import ShardFiles
 from charms_bench.runs.shard_rows import (
     check_seeds,
@@ -35,7 +35,7 @@ from charms_bench.runs.shard_rows import (
     rows_in,
 )
 from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
-from charms_bench.runs.suite import PRESENTATION, Suite
+from charms_bench.runs.suite import UNDECIDING, Suite
 
 FORMAT = 4
 """Version of the format of run folders, as docs/run-folders.md describes it."""
@@ -43,8 +43,6 @@ MANIFEST = "manifest.json"
 KINDS = tuple(SCHEMAS)
 """The kinds of rows of a shard; each has a folder of its own."""
 FILE_LIMIT_BYTES = 2**30
-MANIFEST_LIMIT_BYTES = 2**24
-"""Twenty times the largest manifest; JSON takes fifty times its size in memory."""
 CHECKSUMS = "checksums"
 NETWORKS = "networks"
 """The folder of networks that the suite gives by path; each file is named by its hash."""
@@ -54,8 +52,6 @@ _WRITTEN = {
     NETWORKS: r"[0-9a-f]{64}\.onnx",
 }
 """The names of the files that a run writes into these folders."""
-_UNDECIDING = ("episodes", *PRESENTATION)
-"""Fields of a suite that decide no row."""
 
 
 class RunFolder:
@@ -67,27 +63,16 @@ class RunFolder:
 
     @contextmanager
     def opened_for(self, suite: Suite, engine: str) -> Iterator[None]:
-        """Locks the folder for running a suite; a folder with another run is not changed.
-
-        Raises:
-            RunFolderError: The folder holds something else, another process uses it, or it
-                cannot be read or written.
-        """
-        fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
-        ours = {"suite": fields, "engine": engine}
+        """Locks the folder for running a suite; see `manifest.opened`."""
+        ours = {"suite": suite.deciding(), "engine": engine}
         with opened(self.path, MANIFEST, "run", ours, self.manifest):
-            for folder in ("", *KINDS, CHECKSUMS, NETWORKS, "tables", "figures"):
-                _delete(self.path / folder, PARTIAL)
             self._opened = os.stat(self.path)
             yield
 
     def write_manifest(self, suite: Suite, engine: str, agents: Mapping[str, Any]) -> None:
         """Writes the suite, the software and the machine of the run.
 
-        Args:
-            suite: What is run.
-            engine: The engine's name.
-            agents: See `shard.identify_agents`; of all cells.
+        `agents` are those of `shard.identify_agents`, of all cells.
         """
         manifest = self.manifest_of(suite, engine, agents)
         text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
@@ -99,8 +84,8 @@ class RunFolder:
         return {
             "format": FORMAT,
             "charms_bench": __version__,
-            **json.loads(suite.model_dump_json(include=set(_UNDECIDING))),
-            "suite": json.loads(suite.model_dump_json(exclude=set(_UNDECIDING))),
+            **suite.model_dump(mode="json", include=set(UNDECIDING)),
+            "suite": suite.deciding(),
             "suite_sha256": suite.fingerprint(),
             "engine": engine,
             "agents": agents,
@@ -119,14 +104,12 @@ class RunFolder:
     def manifest(self) -> dict[str, Any]:
         """Returns what `write_manifest` wrote.
 
-        Raises:
-            RunFolderError: There is no such folder, or the manifest is missing, damaged or of
-                another format.
+        Raises a `RunFolderError` if that is missing, damaged or of another format.
         """
         path = self.path / MANIFEST
         if not self.path.is_dir():
             raise RunFolderError(f"{self.path}: no such folder")
-        manifest = read_manifest(path, MANIFEST_LIMIT_BYTES)
+        manifest = read_manifest(path)
         if not isinstance(manifest, dict):
             raise RunFolderError(f"{path}: expected a JSON object")
         if manifest.get("format") != FORMAT:
@@ -141,12 +124,11 @@ class RunFolder:
     def suite(self) -> Suite:
         """Returns the suite of the run; its relative paths have no folder to start from.
 
-        Raises:
-            RunFolderError: The manifest cannot be read, or describes no suite.
+        Raises a `RunFolderError` if the manifest describes no suite.
         """
         manifest = self.manifest()
         try:
-            undeciding = {name: manifest[name] for name in _UNDECIDING if name in manifest}
+            undeciding = {name: manifest[name] for name in UNDECIDING if name in manifest}
             return Suite.model_validate({**manifest["suite"], **undeciding})
         except (KeyError, TypeError, ValueError) as error:
             reason = problem_in(error)
@@ -158,11 +140,7 @@ class RunFolder:
         return found if isinstance(found, int) else 0
 
     def engine(self) -> EngineName:
-        """Returns the engine of the run.
-
-        Raises:
-            RunFolderError: The manifest cannot be read, or names no engine.
-        """
+        """Returns the engine of the run; raises a `RunFolderError` if the manifest names none."""
         found = self.manifest().get("engine")
         if found in ENGINES:
             return cast(EngineName, found)
@@ -180,7 +158,7 @@ class RunFolder:
         Raises:
             RunFolderError: A file is not of a shard of the suite, or two are of the same shard.
         """
-        places, drivers = places_of(suite, self.engine()), self._drivers(suite)
+        places, drivers = places_of(suite, self.engine()), self.drivers(suite)
         found: dict[tuple[int, int], Shard] = {}
         for name in self.finished():
             shard, path = shard_named(name, places), self._checksums(name)
@@ -198,13 +176,10 @@ class RunFolder:
                 )
         return tuple(found.values())
 
-    def _drivers(self, suite: Suite) -> list[str | None]:
-        """What driver rows call each ego; None for a network that the manifest does not name."""
-        agents = self.manifest().get("agents", {})
-        named = {name: each.get("weights_sha256") for name, each in agents.items()}
-        networks = {name: f"{sha256}.onnx" for name, sha256 in named.items() if sha256}
-        egos = [ego.agent for ego in suite.egos]
-        return [networks.get(ego.name) if is_network(ego.name) else ego.key for ego in egos]
+    def drivers(self, suite: Suite) -> list[str]:
+        """What driver rows call each ego: a network is named by its hash."""
+        hashes, egos = self.network_hashes(), [ego.agent for ego in suite.egos]
+        return [f"{hashes.get(ego.name)}.onnx" if is_network(ego.name) else ego.key for ego in egos]
 
     def has(self, shard: Shard) -> bool:
         """Returns whether the shard was finished; its files may have changed since."""
@@ -217,9 +192,7 @@ class RunFolder:
     def write(self, shard: Shard, files: ShardFiles) -> None:
         """Writes a finished shard.
 
-        Raises:
-            RunFolderError: The folder cannot be written to or has been replaced, or the rows are
-                those of other episodes.
+        Raises a `RunFolderError` if the folder has been replaced, or rows are of other episodes.
         """
         self._refuse_replaced()
         for kind in KINDS:
@@ -239,8 +212,7 @@ class RunFolder:
     def take(self, shards: Iterable[Shard], other: Path) -> None:
         """Copies the shards that another run has finished; its cells may be in another order.
 
-        Raises:
-            RunFolderError: The other run has none of the shards.
+        Raises a `RunFolderError` if it has none of them.
         """
         has_some = False
         for shard in shards:
@@ -259,9 +231,7 @@ class RunFolder:
     def read(self, kind: str, shards: Iterable[Shard]) -> pl.DataFrame:
         """Returns the rows of one of `KINDS`, of some shards; networks have the suite's names.
 
-        Raises:
-            RunFolderError: A file is missing, has changed since it was written, or has rows of
-                other episodes.
+        Raises a `RunFolderError` if a file is missing or has changed, or has rows of others.
         """
         parts = {self._file(kind, shard.name): self._read(kind, shard) for shard in shards}
         rows = check_values(kind, parts)
@@ -283,18 +253,13 @@ class RunFolder:
         return rows
 
     def content(self, kind: str, shard: Shard) -> bytes:
-        """Returns the file of a shard, whether or not it matches its checksum.
-
-        Raises:
-            RunFolderError: The file cannot be read.
-        """
+        """Returns a file of a shard, whatever its checksum, or raises a `RunFolderError`."""
         return _content(self._file(kind, shard.name))
 
     def read_unchecked(self, kind: str, shard: Shard) -> pl.DataFrame:
-        """Returns the rows of a shard, whose networks are named by their hashes.
+        """Returns the rows in `content`, whose networks are named by their hashes.
 
-        Raises:
-            RunFolderError: The file cannot be read, or has no rows of this shard.
+        Raises a `RunFolderError` if they are not of this shard.
         """
         path = self._file(kind, shard.name)
         return check_values(kind, {path: rows_in(self.content(kind, shard), kind, shard, path)})
@@ -330,8 +295,7 @@ class RunFolder:
     def keep_network(self, network: Path, sha256: str) -> None:
         """Copies a network that the suite gives by path, so that the folder is complete.
 
-        Raises:
-            RunFolderError: The network no longer has this hash, or the folder cannot be written.
+        Raises a `RunFolderError` if the network no longer has this hash.
         """
         copy = self._network(sha256)
         data = read_file(network, FILE_LIMIT_BYTES)
@@ -354,8 +318,7 @@ class RunFolder:
     def network(self, name: str) -> Path | None:
         """Returns the copy of a network that the suite gives by path, or None if it has none.
 
-        Raises:
-            RunFolderError: The copy has changed since it was written, or cannot be read.
+        Raises a `RunFolderError` if the copy has changed since it was written.
         """
         sha256 = self.network_hashes().get(name, "")
         copy = self._network(sha256)
@@ -366,11 +329,7 @@ class RunFolder:
         return copy
 
     def refuse_to_drop(self, suite: Suite, shards: Iterable[Shard]) -> None:
-        """Refuses to delete finished episodes that a shorter run of the same suite does not have.
-
-        Raises:
-            RunFolderError: The folder has shards of more episodes than the suite.
-        """
+        """Raises a `RunFolderError` if a shorter run would delete finished episodes."""
         episodes, names = self.episodes(), {shard.name for shard in shards}
         lost = [name for name in self.finished() if name not in names]
         if episodes > suite.episodes and lost:
@@ -385,7 +344,7 @@ class RunFolder:
         """Deletes every shard that is not one of these, and every network of another run."""
         names = {shard.name for shard in shards} | set(self.network_hashes().values())
         for folder, pattern in _WRITTEN.items():
-            _delete(self.path / folder, pattern, names)
+            delete(self.path / folder, pattern, names)
 
     def _network(self, sha256: str) -> Path:
         return self.path / NETWORKS / f"{sha256}.onnx"
@@ -395,17 +354,6 @@ class RunFolder:
 
     def _checksums(self, name: str) -> Path:
         return self.path / CHECKSUMS / f"{name}.sha256"
-
-
-def _delete(folder: Path, pattern: str, kept: Collection[str] = ()) -> None:
-    """Deletes the files of a folder whose names match, except those whose stems are kept."""
-    try:
-        for path in sorted(folder.glob("*")):
-            is_file = path.is_file() and not path.is_symlink()
-            if is_file and re.fullmatch(pattern, path.name) and path.stem not in kept:
-                path.unlink()
-    except OSError as error:
-        raise RunFolderError(f"{error.filename}: cannot be deleted: {error.strerror}") from error
 
 
 def _content(path: Path) -> bytes:

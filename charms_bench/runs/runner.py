@@ -73,19 +73,14 @@ def run(
     A cell whose agents or traffic model fail does not end the run: it is one of `failed`. On a
     cluster it does, because a failed plugin may have changed the process, which is not ours to end.
 
+    Other arguments are those of `charms_bench.run`.
+
     Args:
         suite: What to run.
         output: The run folder. An interrupted run in it is continued.
-        engine: `batched` or `highway-env`.
-        workers: Number of processes; by default one per core.
         progress: Called for every finished shard, first for those already in the folder.
-        rows: The folder of another run; shards that both runs have are copied from it.
-        shard_limit_s: Seconds that a shard may take.
-        notice: Called with a message about what went wrong and was put right.
-        cluster: Simulates the shards on a cluster and not in processes on this machine; see
-            `cluster.on_cluster`.
+        cluster: Simulates the shards elsewhere than on this machine; see `cluster.on_cluster`.
         on_cell: Called for every cell that is finished, with its index and its rows.
-        shorten: Whether finished episodes that the suite no longer has may be deleted.
 
     Raises:
         CharmsBenchError: Something is wrong; the folder keeps the shards finished so far.
@@ -124,17 +119,13 @@ def run(
         for shard, task in tasks.items():
             if folder.is_whole(shard):
                 finish(shard)
-                continue
-            missing[task] = shard
-            if folder.has(shard):
-                notice(f"{task.title}: changed since they were written; simulated again")
-
-        def fail(task: ShardTask, error: CharmsBenchError) -> Collection[ShardTask]:
-            cell = missing[task].cell
-            note_failure(suite, cell, error, failed, notice)
-            return {each for each, shard in missing.items() if shard.cell == cell}
+            else:
+                missing[task] = shard
+                if folder.has(shard):
+                    notice(f"{task.title}: changed since they were written; simulated again")
 
         _note_replaced(suite, before, folder.finished(), missing.values(), notice)
+        fail = note_failures(suite, failed, notice, missing)
         here = partial(on_this_machine, simulate, engine, workers, failed=fail)
         simulate_all: SimulateAll = cluster or here
         try:
@@ -146,8 +137,7 @@ def run(
                 raise combined(suite, failed)
         except CharmsBenchError as error:
             if folder.finished():
-                kept = f"finished shards are in {output}"
-                error.add_note(f"{kept}; the same command continues there")
+                error.add_note(f"finished shards are in {output}; the same command continues there")
             raise
         # A cell that could not be planned keeps its rows; another that failed has none of before.
         places, planned = places_of(suite, engine), {shard.cell for shard in tasks}
@@ -192,11 +182,8 @@ def plan(
 ) -> dict[Shard, ShardTask]:
     """Returns the shards of a suite, by cell and seed, each with the task that simulates it.
 
-    The errors of cells that their agents cannot drive are added to `failed`, by cell.
-
-    Raises:
-        CharmsBenchError: A seed is one of training episodes, an agent cannot be made, or no cell
-            can be driven.
+    The errors of cells that their agents cannot drive are added to `failed`, by cell. If these are
+    all, an agent cannot be made, or a seed is one of training episodes, an error is raised.
     """
     if suite.seed + suite.episodes > EVALUATION_SEEDS:
         raise SuiteError(
@@ -216,23 +203,26 @@ def plan(
     return tasks
 
 
-def note_failure(
-    suite: Suite,
-    cell: int,
-    error: CharmsBenchError,
-    failed: dict[int, CharmsBenchError],
-    notice: Notice,
-) -> None:
-    """Adds the first error of a cell to `failed`; raises an error that is no agent's fault."""
-    if isinstance(error, RunFolderError):
-        raise error
-    if cell in failed:
-        return
-    failed[cell] = error
-    if len(suite.cells) > 1:
-        if (title := suite.cells[cell].title) not in str(error):
-            error.args = (f"{title}: {error}",)
-        notice(f"{error}; the other cells are run")
+def note_failures(
+    suite: Suite, failed: dict[int, CharmsBenchError], notice: Notice, tasks: Collection[T]
+) -> Failed[T]:
+    """A function that adds the first error of a cell to `failed` and drops the cell's other tasks.
+
+    It raises an error that is no agent's fault.
+    """
+
+    def fail(task: T, error: CharmsBenchError) -> Collection[T]:
+        if isinstance(error, RunFolderError):
+            raise error
+        if task.cell not in failed:
+            failed[task.cell] = error
+            if len(suite.cells) > 1:
+                if (title := suite.cells[task.cell].title) not in str(error):
+                    error.args = (f"{title}: {error}",)
+                notice(f"{error}; the other cells are run")
+        return {each for each in tasks if each.cell == task.cell}
+
+    return fail
 
 
 def combined(suite: Suite, failed: Mapping[int, CharmsBenchError]) -> CharmsBenchError:
@@ -245,6 +235,17 @@ def combined(suite: Suite, failed: Mapping[int, CharmsBenchError]) -> CharmsBenc
     if len(others) > LISTED:
         first.add_note(f"and {len(others) - LISTED} more errors")
     return first
+
+
+def raise_failed(suite: Suite, failed: Mapping[int, CharmsBenchError], folder: Path) -> None:
+    """Raises the errors of the cells that have failed, if some have, after the others' tables."""
+    if failed:
+        error, cells = combined(suite, failed), len(suite.cells)
+        error.add_note(
+            f"{cells - len(failed)} of {counted(cells, 'cell')} are finished; `charms-bench show "
+            f"{quote(str(folder))}` prints their tables, and the same command continues there"
+        )
+        raise error
 
 
 def _reasons(suite: Suite, failed: Mapping[int, CharmsBenchError]) -> list[str]:
@@ -266,11 +267,7 @@ def plan_cell(
 ) -> dict[Shard, ShardTask]:
     """Returns the shards of one cell; see `plan`.
 
-    Args:
-        suite: The suite.
-        index: The cell's.
-        engine: `batched` or `highway-env`.
-        folder: A run folder whose copies of networks are used instead of the suite's files.
+    If a run folder is given, its copies of networks are used instead of the suite's files.
     """
     cell = suite.cells[index]
     ego, traffic = cell.ego.agent, cell.traffic.traffic
@@ -293,6 +290,7 @@ def plan_cell(
     for first, episodes in blocks(suite, engine):
         task = ShardTask(
             title=f"{cell.title}, episodes {first} to {first + episodes - 1}",
+            cell=index,
             engine=engine,
             scene=cell.scene,
             ego=ego,
@@ -322,15 +320,6 @@ def _check_road(suite: Suite, cell: Cell, engine: EngineName, networks: Mapping[
                 f"suite '{suite.suite}': agent '{driver.key}' cannot drive on the road "
                 f"'{cell.scene.network}': {what}"
             )
-
-
-def unfinished(failed: int, cells: int, folder: Path) -> str:
-    """Returns the note on a run of which some cells have failed."""
-    shown = f"`charms-bench show {quote(str(folder))}`"
-    return (
-        f"{cells - failed} of {counted(cells, 'cell')} are finished; {shown} "
-        "prints their tables, and the same command continues there"
-    )
 
 
 def on_this_machine(

@@ -83,7 +83,9 @@ class CellTask:
     """A part of the work on a cell: all that decides its result."""
 
     title: str
-    """What messages call it; the only field that decides nothing."""
+    """What messages call it. This and `cell` decide nothing."""
+    cell: int = 0
+    """Index into `Suite.cells`."""
     scene: SceneSettings
     ego: AgentSpec
     traffic: TrafficSpec
@@ -101,7 +103,7 @@ class CellTask:
         of a mixture.
         """
         inputs = {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
-        del inputs["title"], inputs["networks"]
+        del inputs["title"], inputs["cell"], inputs["networks"]
         contents = {
             name: f"{self.software.agents[name]['weights_sha256']} {number}"
             for number, name in enumerate(self.networks)
@@ -174,12 +176,7 @@ def simulate(task: ShardTask) -> ShardFiles:
 class HeldDrivers:
     """The agents and the traffic of a cell, held to their word; see `plugins.held`.
 
-    Args:
-        ego: The ego's agent.
-        traffic: The traffic around it.
-        networks: The files of their networks; see `specs.networks_of`.
-        scene: The cell's scene.
-        seed: Chooses the questions that are asked again.
+    `seed` chooses the questions that are asked again.
     """
 
     def __init__(
@@ -202,11 +199,7 @@ class HeldDrivers:
                 raise AgentError(f"agent '{driver.key}': {error}") from error
 
     def finish(self, title: str) -> None:
-        """Asks the last questions, when an agent is not asked any more.
-
-        Raises:
-            AgentError: An answer differs.
-        """
+        """Asks the last questions; raises an `AgentError` if an answer differs."""
         held: dict[str, Held[Any]] = {f"agent '{name}'": each for name, each in self.agents.items()}
         for whose, each in {**held, "the traffic": self.traffic}.items():
             each.finish(f"{whose}, {title}")
@@ -232,14 +225,8 @@ def identify_agents(
 ) -> dict[str, dict[str, str]]:
     """Returns what tells each agent of a cell, and its traffic plugin, from other versions.
 
-    Args:
-        ego: The ego's agent.
-        traffic: The traffic around it.
-        networks: The files of their networks; see `specs.networks_of`.
-
-    Returns:
-        By `AgentSpec.origin`, the hash of a policy's weights, its meta-actions if they have other
-        names than highway-env's, and the plugin's distribution, version and hash of its code.
+    It is, by `AgentSpec.origin`, the hash of a policy's weights, its meta-actions if they have
+    other names than highway-env's, and the plugin's distribution, version and hash of its code.
     """
     drivers = drivers_of(ego, traffic_of(traffic))
     found = {

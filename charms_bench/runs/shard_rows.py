@@ -16,7 +16,7 @@ import polars as pl
 
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.words import counted
-from charms_bench.recording.columns import DRIVER_KEYS, LENGTHS, OF_ROADS, SCHEMAS, TIME_OF_TRAFFIC
+from charms_bench.recording.columns import DRIVER_KEYS, OPTIONAL, SCHEMAS
 from charms_bench.runs.shards import Shard
 from charms_bench.world.following import BINS, QUANTITIES
 from charms_bench.world.scene import DECISIONS_LIMIT
@@ -33,8 +33,8 @@ _KEYS = {
 """The columns that tell rows of a kind apart."""
 _WITHOUT_NULL = {
     "steps": (
-        *_KEYS["steps"], "x", "y", "heading", "speed", "acceleration", "steering", "lane",
-        "target_lane", "vehicles_near",
+        *_KEYS["steps"], "x", "y", "heading", "speed", "acceleration", "steering",
+        "length", "lane", "target_lane", "vehicles_near",
     ),
     "counts": (*_KEYS["counts"], "count"),
     "drivers": SCHEMAS["drivers"].names(),
@@ -50,26 +50,17 @@ _PARTS = {
 
 
 def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
-    """The rows of a kind of a shard in the Parquet file `path`, all of one of its episodes.
+    """The rows of a kind of a shard in the Parquet file `path`; raises a `RunFolderError`.
 
-    Raises:
-        RunFolderError: They are others. `check_values` looks at their values.
+    They are of its episodes, in order and complete. `check_values` looks at their values.
     """
     schema = SCHEMAS[kind]
     try:
-        # Later versions may add columns; earlier ones recorded no lengths and no entries.
-        held = pl.read_parquet_schema(BytesIO(data)) if kind in ("steps", "episodes") else schema
-        optional = (*LENGTHS, TIME_OF_TRAFFIC, *OF_ROADS)
-        lacking = [name for name in optional if name in schema and name not in held]
-        names = [name for name in schema if name not in lacking]
-        rows = pl.read_parquet(BytesIO(data), columns=names, n_rows=ROWS_LIMIT + 1)
-        if lacking:
-            added = [pl.lit(None, schema[name]).alias(name) for name in lacking]
-            rows = rows.with_columns(added).select(schema.names())
-        found = rows.schema
-        wrong = [name for name in schema if found[name] != schema[name]]
-    except pl.exceptions.ColumnNotFoundError:
-        wrong = [name for name in schema if name not in pl.read_parquet_schema(BytesIO(data))]
+        held = pl.read_parquet_schema(BytesIO(data))
+        names = [name for name in schema if name in held or name not in OPTIONAL]
+        wrong = [name for name in names if held.get(name) != schema[name]]
+        if not wrong:
+            rows = pl.read_parquet(BytesIO(data), columns=names, n_rows=ROWS_LIMIT + 1)
     except (pl.exceptions.PolarsError, OSError) as error:
         raise RunFolderError(f"{path}: is not a Parquet file; run the suite again") from error
     if wrong:
@@ -77,7 +68,8 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
     elif len(rows) > ROWS_LIMIT:
         problem = f"holds more than {ROWS_LIMIT:,} rows"
     else:
-        problem = _problem_of_keys(kind, rows, shard.first_seed, shard.episodes)
+        rows = pl.concat([schema.to_frame(), rows], how="diagonal")
+        problem = _problem_of_keys(kind, rows, shard)
     if problem:
         raise RunFolderError(f"{path}: {problem}; run the suite again")
     return rows
@@ -85,26 +77,26 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
 
 def check_seeds(data: bytes, shard: Shard, path: Path) -> None:
     """Raises a `RunFolderError` if rows that have just been made are not of a shard's episodes."""
-    last = shard.first_seed + shard.episodes - 1
-    seeds = pl.read_parquet(BytesIO(data), columns=["episode"])["episode"]
-    if not seeds.is_between(shard.first_seed, last).all():
-        raise RunFolderError(
-            f"{path}: an episode is not one of {shard.first_seed} to {last}; run the suite again"
-        )
+    if problem := _problem_of_seeds(pl.read_parquet(BytesIO(data), columns=["episode"]), shard):
+        raise RunFolderError(f"{path}: {problem}; run the suite again")
 
 
-def _problem_of_keys(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) -> str:
-    """Returns what is wrong with the keys of the rows of one of `SCHEMAS`; empty if nothing is.
+def _problem_of_seeds(rows: pl.DataFrame, shard: Shard) -> str:
+    first, last = shard.first_seed, shard.first_seed + shard.episodes - 1
+    is_known = rows["episode"].is_between(first, last).all()
+    return "" if is_known else f"an episode is not one of {first} to {last}"
 
-    The episodes have successive seeds.
-    """
-    last = first_seed + episodes - 1
-    if not rows["episode"].is_between(first_seed, last).all():
-        return f"an episode is not one of {first_seed} to {last}"
+
+def _problem_of_keys(kind: str, rows: pl.DataFrame, shard: Shard) -> str:
+    """What is wrong with the keys of the rows of one of `SCHEMAS`; empty if nothing is."""
+    first, count = shard.first_seed, shard.episodes
+    if problem := _problem_of_seeds(rows, shard):
+        return problem
     if any(rows[name].null_count() for name in _WITHOUT_NULL[kind]):
         return "a value is missing"
-    if kind == "episodes" and len(rows) != episodes:
-        return f"it has {len(rows)} of the {counted(episodes, 'episode')} {first_seed} to {last}"
+    if kind == "episodes" and len(rows) != count:
+        episodes = f"{counted(count, 'episode')} {first} to {first + count - 1}"
+        return f"it has {len(rows)} of the {episodes}"
     if not _is_in_order(rows, _KEYS[kind]):
         return f"its rows are not in order of {', '.join(_KEYS[kind])}, or two have the same"
     return ""

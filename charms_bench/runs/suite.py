@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
@@ -33,8 +33,10 @@ PLACED_AT_ONCE = 100_000
 """Episodes whose placements are checked at once."""
 ENTRIES_LIMIT = 100
 """Most egos of a suite, and most traffic models."""
-PRESENTATION = ("title", "note", "columns", "warm_up_s", "pairs", "preventable_by", "references")
-"""Fields of a suite that affect only the presentation of results, and no row."""
+UNDECIDING = (
+    "episodes", "title", "note", "columns", "warm_up_s", "pairs", "preventable_by", "references"
+)  # fmt: skip
+"""Fields of a suite that decide no row: all but the first affect only how results are shown."""
 
 
 def _listed(value: object) -> object:
@@ -224,18 +226,17 @@ class Suite(FrozenModel):
         added = (ROADS,) * has_roads + (SCENARIOS,) * has_scenarios
         return (PAPER, standard_after(warm_up_s), *added)
 
+    def deciding(self) -> dict[str, Any]:
+        """Everything that decides its rows, except the number of episodes, as a manifest has it."""
+        return self.model_dump(mode="json", exclude=set(UNDECIDING))
+
     def fingerprint(self) -> str:
-        """Returns the hash of everything that decides its rows, except the number of episodes."""
-        fields = self.model_dump(mode="json", exclude={"episodes", *PRESENTATION})
-        return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
+        """The hash of `deciding`."""
+        return hashlib.sha256(json.dumps(self.deciding(), sort_keys=True).encode()).hexdigest()
 
 
 def load_suite(path: Path) -> Suite:
-    """Reads a suite from a YAML file.
-
-    Raises:
-        SuiteError: The file is wrong, or an agent or a traffic is not installed.
-    """
+    """The suite in a YAML file; raises a `SuiteError`, also if a plugin is not installed."""
     return suite_of(Document(path))
 
 
@@ -256,50 +257,34 @@ def suite_of(document: Document) -> Suite:
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
     for index, entry in enumerate(suite.traffics):
+        at, scenario = ("traffic_models", index, "traffic"), entry.traffic.scenario
         try:
             suite._scene_of(entry.traffic)
         except InputError as error:
-            raise document.error(
-                ("traffic_models", index, "traffic", "road"), str(error)
-            ) from error
-    check_scenarios(document, suite)
+            raise document.error((*at, "road"), str(error)) from error
+        if scenario is not None:
+            end = suite.seed + suite.episodes
+            for first in range(suite.seed, end, PLACED_AT_ONCE):
+                numbers = np.arange(first, min(first + PLACED_AT_ONCE, end))
+                check_placement(document, (*at, "scenario"), scenario, suite.scene, numbers)
     _check_types(document, suite)
-    if suite.scene.recording is not None and suite.episodes > (
-        count := len(moments_of(suite.scene))
-    ):
-        what = f"the recordings have {count:,} moments; expected at most as many episodes"
-        raise document.error(("episodes",), what)
+    if suite.scene.recording is not None:
+        count = len(moments_of(suite.scene))
+        if suite.episodes > count:
+            what = f"the recordings have {count:,} moments; expected at most as many episodes"
+            raise document.error(("episodes",), what)
     for index, metric in enumerate(suite.columns):
         _check_metric(document, ("columns", index), metric, suite.metric_sets)
     return suite
 
 
-def check_scenarios(document: Document, suite: Suite) -> None:
-    """Checks that the vehicles of every episode of a document's scenarios can be placed.
-
-    Raises:
-        SuiteError: They cannot; names the line, and the values of the parameters.
-    """
-    for index, entry in enumerate(suite.traffics):
-        scenario = entry.traffic.scenario
-        for first in range(0, suite.episodes if scenario else 0, PLACED_AT_ONCE):
-            assert scenario is not None
-            last = min(first + PLACED_AT_ONCE, suite.episodes)
-            numbers = np.arange(suite.seed + first, suite.seed + last)
-            at = ("traffic_models", index, "traffic", "scenario")
-            check_placement(document, at, scenario, suite.scene, numbers)
-
-
 def check_placement(
     document: Document, at: Location, scenario: Scenario, scene: SceneSettings, numbers: Ints
 ) -> None:
-    """Checks that the vehicles of a scenario, which a document has at `at`, can be placed.
+    """Checks that the vehicles of a scenario can be placed at its points of these numbers (R,).
 
-    Args:
-        numbers: (R,) the numbers of the scenario's points.
-
-    Raises:
-        SuiteError: They cannot; names the line, and the values of the parameters.
+    Raises a `SuiteError` with the line, the document having the scenario at `at`, and the values of
+    the parameters.
     """
     settings = scene.of_scenario(scenario)
     try:
@@ -327,11 +312,7 @@ def _check_types(document: Document, suite: Suite) -> None:
 
 
 def check_networks(document: Document, suite: Suite) -> None:
-    """Checks the networks of a document's suite.
-
-    Raises:
-        SuiteError: A network cannot be used; names its line.
-    """
+    """Raises a `SuiteError` with the line of the first network that cannot be used."""
     for what, entries in _entries(suite).items():
         for index, entry in enumerate(entries):
             for name in filter(is_network, _names(entry)):
@@ -362,11 +343,7 @@ def _ranges_of(agent: str) -> Mapping[str, tuple[float, float]]:
 
 
 def _names(entry: EgoEntry | TrafficEntry) -> tuple[str, ...]:
-    """Returns the names of an entry's agents.
-
-    Raises:
-        ValidationError: A name is too long, or has characters that cannot be printed.
-    """
+    """The names of an entry's agents; raises a `ValidationError` if one cannot be a name."""
     if isinstance(entry, EgoEntry):
         return (entry.agent.name,)
     agents = entry.traffic.make().agents

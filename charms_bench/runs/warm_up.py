@@ -24,10 +24,6 @@ def _simulation(agent: str = "") -> Simulation:
     return Simulation(SceneSettings(), 1, agent or None, OneAgent(agent), made)
 
 
-def _motion() -> None:
-    _simulation().step()
-
-
 def _start(agent: str = "") -> Simulation:
     simulation = _simulation(agent)
     simulation.reset(np.array([EVALUATION_SEEDS], dtype=np.uint64))
@@ -52,7 +48,7 @@ def _driver_models() -> None:
 
 # In an order in which two processes take equally long, and nothing is compiled twice.
 PARTS: dict[str, Callable[[], object]] = {
-    "motion": _motion,
+    "motion": lambda: _simulation().step(),
     "start": _start,
     "recording": _recording,
     "driver models": _driver_models,

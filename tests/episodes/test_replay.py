@@ -12,7 +12,6 @@ import pytest
 from charms_bench.episodes.recorded_cell import RecordedCell, find_cells
 from charms_bench.episodes.replay import TRAJECTORY_SCHEMA, replay
 from charms_bench.errors import RunFolderError
-from charms_bench.metrics import METRIC_SETS
 from charms_bench.runs.finished_run import FinishedRun, open_finished
 from charms_bench.runs.resumable_folder import KINDS
 from charms_bench.runs.runner import run
@@ -97,23 +96,6 @@ def test_an_episode_that_goes_another_way_is_refused(copied: FinishedRun) -> Non
     (copied.folder.path / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(RunFolderError, match="used other versions of idm_mobil; install those"):
         replay(RecordedCell(copied, 0, Path()), [12])
-
-
-def test_rows_without_lengths_are_those_of_vehicles_of_the_profiles_length(
-    finished: FinishedRun, copied: FinishedRun
-) -> None:
-    for shard in copied.shards:  # as earlier versions wrote them
-        files = {kind: copied.folder.read(kind, [shard]) for kind in KINDS}
-        files["steps"] = files["steps"].drop("length", "leader_length", "follower_length")
-        copied.folder.write(shard, {kind: in_parquet(rows) for kind, rows in files.items()})
-    metrics = [metric for each in METRIC_SETS for metric in each.metrics]
-    for new, old in zip(finished.cells(), copied.cells(), strict=True):
-        assert old.steps["length"].null_count() == len(old.steps)
-        sums = (each.sums(metrics, finished.suite.scene) for each in (new, old))
-        for one, other in zip(*sums, strict=True):
-            np.testing.assert_array_equal(one, other)
-    (replayed,) = replay(RecordedCell(copied, 0, Path()), [12])
-    assert (replayed.length == 5.0).all()
 
 
 def test_an_episode_that_the_run_has_not_is_refused(finished: FinishedRun) -> None:

@@ -20,6 +20,7 @@ QUIET_STEP = {
     "steering": 0.0,
     "lane": 1,
     "vehicles_near": 1,
+    **dict.fromkeys(("length", "leader_length", "follower_length"), 5.0),
 }
 QUIET_EPISODE = {
     "ending": "time",

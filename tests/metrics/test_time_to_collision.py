@@ -4,8 +4,6 @@ import pytest
 from handmade_rows import measure, of_paper, of_standard
 
 from charms_bench.metrics.metric import Metric
-from charms_bench.world.profile import CHARMS
-from charms_bench.world.scene import SceneSettings
 
 
 def behind(distance: float, closing: float) -> dict[str, float]:
@@ -56,13 +54,6 @@ def test_the_smallest_ttc_is_averaged_over_episodes_that_have_one() -> None:
 
 def test_a_creeping_approach_counts_as_100_s() -> None:
     assert measure(of_standard("ttc_min"), ({}, [behind(45.0, 0.0625)])) == 100.0
-
-
-def test_the_gap_is_shorter_behind_longer_vehicles() -> None:
-    settings = SceneSettings(profile=CHARMS.model_copy(update={"vehicle_length_m": 10.0}))
-    episode = ({}, [behind(30.0, 10.0)])
-    assert measure(of_standard("ttc_min"), episode) == pytest.approx(2.5)
-    assert measure(of_standard("ttc_min"), episode, settings=settings) == pytest.approx(2.0)
 
 
 def test_the_gap_is_between_the_bumpers_of_vehicles_of_their_own_lengths() -> None:

@@ -44,6 +44,7 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
             "lane": 0,
             "leader_distance": 30.0 - closer + rng.normal(0.0, 2.0),
             "leader_speed": 25.0,
+            **dict.fromkeys(("length", "leader_length"), 5.0),
         }
         for e in range(EPISODES)
         for k in range(STEPS)

@@ -28,6 +28,7 @@ def cell(
 ) -> CellRows:
     """An episode a speed, of one step each."""
     step = {"step": 1, "acceleration": 0.5, "steering": 0.0, "lane": 0, "vehicles_near": 2}
+    step |= dict.fromkeys(("length", "leader_length"), 5.0)
     front = {} if leader is None else {"leader_distance": leader, "leader_speed": 25.0}
     head = {"ending": "time", "steps": 1, "duration_s": 1 / 3, "distance_m": 10.0}
     others = {"traffic_vehicles": 20, "traffic_crashed": 0, "traffic_distance_m": 200.0}

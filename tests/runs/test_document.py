@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from charms_bench.errors import RenamedKeyWarning, SuiteError
+from charms_bench.errors import SuiteError
 from charms_bench.runs.document import Document, value_of
 from charms_bench.runs.suite import Suite
 
@@ -126,31 +126,9 @@ def test_labels_that_differ_may_look_similar(tmp_path: Path) -> None:
     assert len(Document(path).validate(Suite).egos) == 8
 
 
-TRUCKS = "scene:\n  vehicle_types:\n  - {name: truck, proportion: 1.0}\n"
-
-
-@pytest.mark.parametrize(("old", "new"), [("traffics", "traffic_models"), ("share", "proportion")])
-def test_a_key_by_its_old_name_is_read_with_a_hint_at_the_new_one(
-    tmp_path: Path, old: str, new: str
-) -> None:
-    path = tmp_path / "suite.yaml"
-    text = SUITE.replace("scene:\n", TRUCKS)
-    path.write_text(text, encoding="utf-8")
-    by_new_name = Document(path).validate(Suite)
-    path.write_text(text.replace(f"{new}:", f"{old}:"), encoding="utf-8")
-    hint = f"suite.yaml:{text[: text.index(new)].count(chr(10)) + 1}: .*{old}: .*now called '{new}'"
-    with pytest.warns(RenamedKeyWarning, match=hint):
-        assert Document(path).validate(Suite) == by_new_name
-
-
-def test_a_mistake_below_a_key_by_its_old_name_is_named_with_its_line(tmp_path: Path) -> None:
-    text = SUITE.replace("traffic_models:\n  - traffic: idm_mobil", "traffics:\n  - traffic: 7")
-    assert "suite.yaml:10: traffics[0].traffic" in complaint(tmp_path, text)
-
-
-def test_a_key_by_both_names_is_refused(tmp_path: Path) -> None:
+def test_a_key_by_the_name_that_run_folders_have_is_refused(tmp_path: Path) -> None:
     both = f"{SUITE}traffics:\n  - traffic: idm_mobil\n"
-    assert "suite.yaml:11: traffics" in complaint(tmp_path, both)
+    assert "suite.yaml:11: traffics: unknown key" in complaint(tmp_path, both)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
