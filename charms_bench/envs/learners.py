@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from charms_bench.engine import EngineName, MakeEngine
 from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION
 from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, are_off_road
 from charms_bench.engine.simulation import Simulation
@@ -20,7 +21,6 @@ from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError, ScenarioError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
-from charms_bench.roads import engine_on
 from charms_bench.world.action_mask import ActionMasks, action_masks
 from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, ActionsLike, meta_actions_of
 from charms_bench.world.observations import Observation, neighbours
@@ -112,11 +112,9 @@ class Learners:
             driven = OneAgent("")
         like = self.actions.like
         self._title = title
-        _check_road(settings, agents, like, len(self.numbers), title)
+        engine = _engine_of(settings, agents, like, len(self.numbers), title)
         with self._placing():
-            self.simulation = Simulation(
-                settings, scenes, None, driven, agents, engine_on(settings), like
-            )
+            self.simulation = Simulation(settings, scenes, None, driven, agents, engine, like)
         self.returns = np.zeros(self.scene_of.size)
         """(B L,) sums of the rewards so far."""
         self._are_egos = len(self.numbers) == 1
@@ -292,16 +290,21 @@ class FromOutside(Traffic):
         return names
 
 
-def _check_road(
+def _engine_of(
     settings: SceneSettings,
     agents: Mapping[str, Agent],
     like: ActionsLike,
     learners: int,
     title: str,
-) -> None:
-    """Raises an `InputError` if a road cannot be driven by the ego's actions or by the traffic."""
+) -> EngineName | MakeEngine:
+    """The engine of the straight road, or that of a road.
+
+    Raises:
+        InputError: Several learners, the ego's actions or an agent cannot drive on the road.
+    """
     if settings.network is None:
-        return
+        return "batched"
+    from charms_bench.roads.engine import RoadEngine
     from charms_bench.roads.settings import problem_of_actions, problem_of_driver  # slow to import
 
     if learners > 1:
@@ -313,6 +316,7 @@ def _check_road(
             raise InputError(
                 f"{title}: agent '{name}' cannot drive on the road '{settings.network}': {what}"
             )
+    return RoadEngine
 
 
 def _checked(numbers: Iterable[int], vehicles: int) -> tuple[int, ...]:

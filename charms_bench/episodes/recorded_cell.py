@@ -14,11 +14,10 @@ from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.roads import engine_on
 from charms_bench.runs.audit_software import names_installed_code
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import EPISODES_AND_STEPS, FinishedRun, read_rows
-from charms_bench.runs.shard import identify_agents
+from charms_bench.runs.shard import engine_on, identify_agents
 from charms_bench.runs.suite import Cell
 from charms_bench.world.actions import DEFAULT_ACTIONS, meta_actions_of
 from charms_bench.world.scene import SceneSettings

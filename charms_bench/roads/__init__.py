@@ -11,12 +11,6 @@ Lanes, obstacles and default configurations are data here, equal to those of hig
 not imported.
 """
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from charms_bench.engine import EngineName, MakeEngine
-    from charms_bench.world.scene import SceneSettings
-
 TASKS = {
     "highway-v0": "highway:Highway",
     "highway-fast-v0": "highway:FastHighway",
@@ -56,14 +50,3 @@ OF_SUITES = tuple(
     name for name in TASKS if name.startswith(("merge", "exit", "u-turn", "roundabout"))
 )
 """The environments on whose roads agents of the straight road drive the ego."""
-
-
-def engine_on(
-    scene: "SceneSettings", engine: "EngineName" = "batched"
-) -> "EngineName | MakeEngine":
-    """The engine of some scenes: those on highway-env's roads have their own."""
-    if scene.network is None:
-        return engine
-    from charms_bench.roads.engine import RoadEngine  # slow to import
-
-    return RoadEngine

@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 from pydantic import BaseModel
 
-from charms_bench.engine import EngineName
+from charms_bench.engine import EngineName, MakeEngine
 from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, BrokenWordError, RunFolderError
@@ -37,7 +37,6 @@ from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drive
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.recording.columns import DRIVER_KEYS
 from charms_bench.recording.recording import Recording
-from charms_bench.roads import engine_on
 from charms_bench.runs.code_hashes import (
     ROADS,
     code_sha256,
@@ -171,6 +170,15 @@ def simulate(task: ShardTask) -> ShardFiles:
         "drivers": in_parquet(conduct),
         "episodes": in_parquet(recording.episodes()),
     }
+
+
+def engine_on(scene: SceneSettings, engine: EngineName = "batched") -> EngineName | MakeEngine:
+    """The engine of some scenes: those on highway-env's roads have their own."""
+    if scene.network is None:
+        return engine
+    from charms_bench.roads.engine import RoadEngine  # slow to import
+
+    return RoadEngine
 
 
 class HeldDrivers:

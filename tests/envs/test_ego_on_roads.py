@@ -20,8 +20,9 @@ from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import TrafficSpec
-from charms_bench.roads import OF_SUITES, engine_on
+from charms_bench.roads import OF_SUITES
 from charms_bench.roads.settings import on_road
+from charms_bench.runs.shard import engine_on
 from charms_bench.world.actions import FASTER, IDLE
 from charms_bench.world.scene import SceneSettings
 

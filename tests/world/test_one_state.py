@@ -15,7 +15,7 @@ REASONS = {
     "engine/state.py: SceneState": "a copy of the state that was saved",
     "engine/motion.py: Turning": "the vehicles that turn in a step, side by side",
     "engine/stepping.py: Put": "where a step ends for vehicles that follow a recording",
-    "recording/primitives.py: _FIELDS": "the vehicles at a decision, of which rows are made",
+    "recording/primitives.py: VEHICLE": "the vehicles at a decision, of which rows are made",
     "recording/columns.py: STEP": "the rows of decisions",
     "runs/shard_rows.py: _WITHOUT_NULL": "which of their columns are always there",
     "episodes/replay.py: TRAJECTORY_SCHEMA": "the rows of a replay",

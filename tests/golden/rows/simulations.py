@@ -18,7 +18,7 @@ from charms_bench.errors import AgentError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
-from charms_bench.roads import engine_on
+from charms_bench.runs.shard import engine_on
 from charms_bench.runs.suite import load_suite
 from charms_bench.world.scene import SceneSettings
 
