@@ -30,6 +30,7 @@ _MODULES = (
 _ENVIRONMENTS = (
     "envs.common.observation",
     "envs.exit_env",
+    "envs.highway_env",
     "envs.intersection_env",
     "envs.lane_keeping_env",
     "envs.merge_env",

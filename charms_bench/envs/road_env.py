@@ -1,7 +1,7 @@
 """highway-env's other environments, such as `charms_bench/merge-v0`, alone and as vectors."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from itertools import product
 from typing import Any
@@ -23,17 +23,82 @@ from charms_bench.envs.spaces import trained_in
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
-from charms_bench.roads.configuration import plain
+from charms_bench.roads.available_actions import available_actions
+from charms_bench.roads.configuration import MetaActions, plain
 from charms_bench.roads.controls import Controls
-from charms_bench.roads.episodes import Decision, Episodes, Seen
+from charms_bench.roads.episodes import Decision, Episodes, EpisodesState, Seen
 from charms_bench.roads.parking import Parking
-from charms_bench.world.actions import ACTIONS, LANE_LEFT, LANE_RIGHT
-from charms_bench.world.road import is_reachable, side_lanes
 
 Spaces = tuple[gymnasium.Space[Any], gymnasium.Space[Any]]
+RoadReward = Callable[[NDArray[np.void], Mapping[str, Floats]], Floats]
+"""A reward of one's own (B,) after a decision. It is given the vehicles (B, N), which are rows of
+`roads.scenes.VEHICLE` of which the first is the ego, and the terms of highway-env's reward (B,) by
+name."""
 
 
-class RoadEnv(gymnasium.Env[Any, Any]):
+class _Stepped:
+    """What an environment and a vector environment of highway-env's roads share."""
+
+    _name: str
+    _episodes: Episodes
+    _renderer: Renderer
+    _pictures: RoadPictures
+    _reward: RoadReward | None
+    _seen: Any = None
+    """The last observations (B, ...); None before the first reset."""
+
+    def get_state(self) -> EpisodesState:
+        """The state of every episode, for `set_state`.
+
+        Raises:
+            ResetNeeded: There was no reset yet.
+        """
+        self._check_started("get_state")
+        return self._episodes.state(self._seen)
+
+    def _continue(self, state: EpisodesState) -> None:
+        """Continues the episodes of a state."""
+        try:
+            self._seen = self._episodes.restore(state)
+        except InputError as error:
+            raise InputError(f"{self._name}: {error}") from error
+
+    def _masks(self) -> Bools:
+        """The action masks (B, A) of the first ego, or (B, egos, A) where actions are tuples."""
+        episodes, actions = self._episodes, self._meta_actions
+        self._check_started("action masks")
+        masks = available_actions(episodes.scenes, episodes.agents)[..., actions.meaning]
+        return masks if episodes.has_agents else masks[:, 0]
+
+    @property
+    def _meta_actions(self) -> MetaActions:
+        if isinstance(self._episodes.actions, Controls):
+            raise InputError(f"{self._name}: action masks: expected meta-actions")
+        return self._episodes.actions
+
+    def _step(self, actions: Any) -> Decision:
+        """What actions lead to, with the rewards of one's own if there are such."""
+        decision = self._episodes.step(actions)
+        self._seen = decision.observations
+        if self._reward is None:
+            return decision
+        vehicles = self._episodes.scenes.vehicles[:]
+        vehicles.flags.writeable = False
+        rewards = np.array(self._reward(vehicles, dict(_terms(self._episodes, decision))), float)
+        if rewards.shape != decision.rewards.shape:
+            expected = f"expected {decision.rewards.shape}, one for each environment"
+            raise InputError(f"{self._name}: reward: found the shape {rewards.shape}; {expected}")
+        return decision._replace(rewards=rewards)
+
+    def _frame(self, row: int) -> Frame:
+        return self._pictures.frame(self._episodes, row)
+
+    def _check_started(self, what: str) -> None:
+        if self._seen is None:
+            raise ResetNeeded(f"{what} before the first reset")
+
+
+class RoadEnv(_Stepped, gymnasium.Env[Any, Any]):
     """One episode after another of one of highway-env's environments.
 
     The same seed gives the scene of highway-env, and the same actions the same episode.
@@ -42,10 +107,11 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         name: highway-env's name of the environment, such as `merge-v0`.
         config: highway-env's configuration; what is not given has its default.
         render_mode: `rgb_array`, `human`, or None.
+        reward: The reward of a decision; by default that of highway-env.
 
     Raises:
-        InputError: The configuration has an unknown key or a value that is not supported, or there
-            is no such mode.
+        InputError: The configuration has an unknown key or a value that is not supported, there is
+            no such mode, or a reward is given where there are several agents.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012  # gymnasium's declaration
@@ -55,9 +121,11 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         name: str,
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        reward: RoadReward | None = None,
     ) -> None:
         self._name, self.render_mode = name, render_mode
         self._episodes = episodes_of(name, 1, config)
+        self._reward = _checked_reward(reward, self._episodes)
         self.config = deepcopy(self._episodes.config)
         """highway-env's configuration, with the defaults; changes count from the next reset on."""
         self._episodes.seed(self._episodes.everyone, random_seeds(1))
@@ -66,7 +134,6 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         self._renderer = Renderer(1, self.config["policy_frequency"], render_mode, name)
         self._pictures = RoadPictures()
         self._vehicles: dict[int, RoadVehicle] = {}
-        self._has_started = False
 
     def __getattr__(self, name: str) -> Any:
         """Says what to use instead of what highway-env has and this environment has not."""
@@ -140,11 +207,11 @@ class RoadEnv(gymnasium.Env[Any, Any]):
             episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
         super().reset(seed=seed)
         episodes.start(episodes.everyone)
-        self._has_started = True
+        self._seen = episodes.observe()
         self._vehicles = {}
         self._renderer.show(self._frame)
         info = {name: each[0].item() for name, each in _facts(episodes).items()}
-        return _row(episodes.observe(), 0), info
+        return _row(self._seen, 0), info
 
     def step(self, action: Any) -> tuple[Any, Any, Any, bool, dict[str, Any]]:
         """Carries out the ego's action until the next decision, or a tuple of those of the agents.
@@ -164,7 +231,7 @@ class RoadEnv(gymnasium.Env[Any, Any]):
             checked = _checked([array_of(each)[None] for each in _parts(action)], episodes)
         else:
             checked = _checked(array_of(action)[None], episodes)
-        decision = episodes.step(checked)
+        decision = self._step(checked)
         self._vehicles = {}
         info: dict[str, Any] = {}
         if episodes.task.has_info:
@@ -176,7 +243,7 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         for name, each in episodes.task.information(episodes.scenes).items():
             info[name] = tuple(each[0].tolist()) if np.ndim(each) > 1 else each[0].item()
         self._renderer.show(self._frame)
-        seen, truncated = _row(decision.observations, 0), bool(decision.truncated[0])
+        seen, truncated = _row(self._seen, 0), bool(decision.truncated[0])
         if episodes.is_split:
             return seen, info["agents_rewards"], info["agents_terminated"], truncated, info
         return seen, float(decision.rewards[0]), bool(decision.terminated[0]), truncated, info
@@ -193,36 +260,37 @@ class RoadEnv(gymnasium.Env[Any, Any]):
 
         With several agents, these are the combinations of theirs.
         """
-        possible = [self._available_to(ego) for ego in range(self._episodes.agents)]
-        return product(*possible) if self._episodes.has_agents else possible[0]
+        names, masks = self._meta_actions.names, self._masks()[0]
+        possible = [names.index(each) for each in _AS_IN_HIGHWAY_ENV if each in names]
+        each = [[k for k in possible if mask[k]] for mask in np.atleast_2d(masks)]
+        return product(*each) if self._episodes.has_agents else each[0]
 
-    def _available_to(self, ego_place: int) -> list[int]:
-        scenes, actions = self._episodes.scenes, self._episodes.actions
-        if isinstance(actions, Controls):
-            raise InputError("get_available_actions: expected meta-actions")
-        self._check_started("get_available_actions")
-        ego, names = scenes.vehicles[0, ego_place], actions.names
-        possible = ["IDLE"]
-        left, right = side_lanes(scenes.road, int(ego["lane"]))
-        for lane, name in ((left, ACTIONS[LANE_LEFT]), (right, ACTIONS[LANE_RIGHT])):
-            if lane >= 0 and is_reachable(scenes.road, lane, float(ego["x"]), float(ego["y"])):
-                possible.append(name)
-        possible += ["FASTER"] * bool(ego["speed_index"] < scenes.target_speeds.size - 1)
-        possible += ["SLOWER"] * bool(ego["speed_index"] > 0)
-        return [names.index(name) for name in possible if name in names]
+    def action_masks(self) -> Bools:
+        """Which actions have an effect now, (A,), as sb3-contrib's `MaskablePPO` asks for it.
+
+        With several agents, the masks are (agents, A).
+
+        Raises:
+            InputError: The actions are no meta-actions.
+            ResetNeeded: There was no reset yet.
+        """
+        return np.asarray(self._masks()[0])
+
+    def set_state(self, state: EpisodesState) -> Any:
+        """Continues the episode of a state of `get_state`; returns its last observation.
+
+        Raises:
+            InputError: It is of another environment, configuration or number of episodes.
+        """
+        self._continue(state)
+        self._vehicles = {}
+        return _row(self._seen, 0)
 
     def render(self) -> Any:
         """The picture (height, width, 3) in the mode `rgb_array`; None in other modes."""
         self._check_started("render")
         frames = self._renderer.render(self._frame)
         return None if frames is None else frames[0]
-
-    def _frame(self, row: int) -> Frame:
-        return self._pictures.frame(self._episodes, row)
-
-    def _check_started(self, what: str) -> None:
-        if not self._has_started:
-            raise ResetNeeded(f"{what} before the first reset")
 
     def close(self) -> None:
         """Closes the window."""
@@ -246,7 +314,7 @@ class GoalRoadEnv(RoadEnv):
         return _goal_rewards(self._name, self._episodes, achieved_goal, desired_goal, p)
 
 
-class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
+class RoadVectorEnv(_Stepped, VectorEnv[Any, Any, NDArray[Any]]):
     """B environments `RoadEnv` side by side; where an episode ends, the next starts at once.
 
     `autoreset_mode` is another of Gymnasium's `AutoresetMode`, in which it starts in the next step,
@@ -272,12 +340,14 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        reward: RoadReward | None = None,
     ) -> None:
         self._name = name
         self._autoreset = Autoreset(autoreset_mode, num_envs, name)
         self.autoreset_mode = self._autoreset.mode
         """As the attribute of Gymnasium's own vector environments, which TorchRL reads."""
         self._episodes = episodes_of(name, num_envs, config)
+        self._reward = _checked_reward(reward, self._episodes)
         self.num_envs, self.render_mode = num_envs, render_mode
         hz = self.config["policy_frequency"]
         self.metadata = {
@@ -292,8 +362,6 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._episodes.seed(self._episodes.everyone, random_seeds(num_envs))
         self._known = np.ones(num_envs, dtype=np.bool_)
-        self._seen: Any = None
-        """The last observations, for a reset of some environments."""
 
     @property
     def config(self) -> dict[str, Any]:
@@ -350,7 +418,7 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         episodes = self._episodes
         due = self._autoreset.before_step()
         generators = episodes.scenes.generator[due].copy()
-        decision = episodes.step(_checked(actions, episodes))
+        decision = self._step(_checked(actions, episodes))
         episodes.scenes.generator[due] = generators
         rewards, terminated, truncated = decision.rewards, decision.terminated, decision.truncated
         rewards[due], terminated[due], truncated[due] = 0.0, False, False
@@ -376,18 +444,32 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             if over.size:
                 infos |= self._masked(final, ended)
             _put(observations, rows, episodes.observe(rows))
-        self._seen = observations
         self._renderer.show(self._frame)
         return observations, rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """The pictures (height, width, 3) in the mode `rgb_array`; None in other modes."""
-        if not self._autoreset.has_started:
-            raise ResetNeeded("render before the first reset")
+        self._check_started("render")
         return self._renderer.render(self._frame)
 
-    def _frame(self, row: int) -> Frame:
-        return self._pictures.frame(self._episodes, row)
+    def action_masks(self) -> Bools:
+        """Which actions have an effect now, (B, A), or of several agents (B, agents, A).
+
+        Raises:
+            InputError: The actions are no meta-actions.
+            ResetNeeded: There was no reset yet.
+        """
+        return self._masks()
+
+    def set_state(self, state: EpisodesState) -> Any:
+        """Continues the episodes of a state of `get_state`; returns their last observations.
+
+        Raises:
+            InputError: It is of another environment, configuration or number of episodes.
+        """
+        self._continue(state)
+        self._autoreset.continue_all()
+        return deepcopy(self._seen)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Closes the window."""
@@ -402,6 +484,10 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     def _masked(self, facts: dict[str, Any], known: Bools) -> dict[str, Any]:
         """Infos with the masks (B,) beside them that Gymnasium expects."""
         return {**facts, **{f"_{name}": known for name in facts}}
+
+
+_AS_IN_HIGHWAY_ENV = ("IDLE", "LANE_LEFT", "LANE_RIGHT", "FASTER", "SLOWER")
+"""The order of [`DiscreteMetaAction.get_available_actions`]."""
 
 
 def episodes_of(name: str, count: int, config: Mapping[str, Any] | None) -> Episodes:
@@ -437,6 +523,14 @@ def _checked(actions: Any, episodes: Episodes) -> Any:
     if len(parts) != episodes.agents:
         raise InputError(f"actions of {len(parts)} agents; expected {episodes.agents}")
     return tuple(_checked_of_one(array_of(each), episodes) for each in parts)
+
+
+def _checked_reward(reward: RoadReward | None, episodes: Episodes) -> RoadReward | None:
+    """The reward, if one can be given."""
+    if reward is None or (callable(reward) and not episodes.has_agents):
+        return reward
+    found = "there are several agents" if callable(reward) else f"found {reward!r:.80}"
+    raise InputError(f"{episodes.name}: reward: {found}; expected a function for one agent")
 
 
 def _parts(actions: Any) -> list[Any]:

@@ -77,6 +77,17 @@ def word(state: State) -> np.uint64:
 
 
 @compiled
+def half_word(state: State) -> np.uint64:
+    """The next 32 random bits."""
+    if state[5]:
+        state[5] = np.uint64(0)
+        return np.uint64(state[4])
+    both = word(state)
+    state[4], state[5] = both >> _32, _1
+    return both & _LOW
+
+
+@compiled
 def random(state: State) -> float:
     """A number in [0, 1)."""
     return float(word(state) >> np.uint64(11)) * 2.0**-53
@@ -98,11 +109,7 @@ def share_of_integers(state: State, count: int) -> float:
         return 0.0
     threshold = np.uint64(2**32 - count) % np.uint64(count)
     while True:
-        if state[5]:
-            half, state[5] = state[4], np.uint64(0)
-        else:
-            both = word(state)
-            half, state[4], state[5] = both & _LOW, both >> _32, _1
+        half = half_word(state)
         if half * np.uint64(count) & _LOW >= threshold:
             return float(half) * 2.0**-32
 
@@ -125,6 +132,20 @@ def two_integers(state: State, high: int) -> tuple[int, int]:
     if integers(state, 0, 2):
         return one, other
     return other, one
+
+
+@compiled
+def shuffle(state: State, rows: NDArray[Any]) -> None:
+    """Shuffles the rows of an array of more than one dimension."""
+    for i in range(len(rows) - 1, 0, -1):
+        mask = _LOW
+        while mask >> _1 >= np.uint64(i):
+            mask >>= _1
+        j = half_word(state) & mask
+        while j > np.uint64(i):
+            j = half_word(state) & mask
+        one, other = rows[i].copy(), rows[np.int64(j)].copy()
+        rows[i], rows[np.int64(j)] = other, one
 
 
 @compiled

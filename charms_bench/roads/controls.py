@@ -39,7 +39,7 @@ class Controls:
     """
 
     target_speeds = np.linspace(20, 30, 3)
-    """Without effect, as in highway-env."""
+    """Only for rewards; the configuration's have no effect, as in highway-env."""
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         kind = str(config["action"]["type"])
@@ -58,6 +58,7 @@ class Controls:
         self.clips = bool(found["clip"])
         """Whether actions outside [-1, 1] are clipped."""
         box = gymnasium.spaces.Box(-1.0, 1.0, (len(self._axes),), np.float32)
+        self._kind = DYNAMICAL if found["dynamical"] else CONTINUOUS
         self.space: gymnasium.Space[Any] = box
         """Of one action."""
         self._table: NDArray[Any] | None = None
@@ -65,6 +66,12 @@ class Controls:
             steps = np.linspace(box.low, box.high, found["actions_per_axis"]).T
             self._table = np.array(list(product(*steps)))
             self.space = gymnasium.spaces.Discrete(len(self._table))
+
+    def take(self, scenes: Scenes, rows: Ints, egos: int) -> None:
+        """Turns the commanded egos of new episodes into vehicles with controls."""
+        vehicles = scenes.vehicles[:, :egos]
+        vehicles["kind"][rows] = self._kind
+        vehicles["target_speed"][rows] = vehicles["route_end"][rows] = 0
 
     def give(self, scenes: Scenes, actions: NDArray[Any], ego: int) -> Ints:
         """Gives the ego at a place in all scenes its actions (B, axes), or (B,) indices.
@@ -95,7 +102,13 @@ def actions_of(config: Mapping[str, Any], supported: Sequence[str]) -> MetaActio
     name = config["action"].get("type")
     if name not in supported:
         expected = " or ".join(map(repr, supported))
-        raise InputError(f"config.action.type: '{name}' is not supported; expected {expected}")
+        why = ""
+        if name in _OWN:
+            why = (
+                ", because highway-env's reward fails with it here. On every road, "
+                "charms_bench/Ego-v0 takes actions='continuous'"
+            )
+        raise InputError(f"config.action.type: '{name}' is not supported{why}; expected {expected}")
     return Controls(config) if name in _OWN else meta_actions(config)
 
 

@@ -1,6 +1,8 @@
 """B episodes of one of highway-env's environments, which advance together."""
 
+import json
 from collections.abc import Mapping
+from copy import deepcopy
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -11,10 +13,10 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded
 from charms_bench.roads import TASKS, configuration
-from charms_bench.roads.controls import actions_of
+from charms_bench.roads.controls import Controls, actions_of
 from charms_bench.roads.defaults import DEFAULTS, MOST_STEPS, SPLIT
 from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
-from charms_bench.roads.observing import Observed, observer_of
+from charms_bench.roads.observing import Kinematics, Observed, observer_of
 from charms_bench.roads.scenes import Scenes, place
 from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
@@ -22,6 +24,17 @@ from charms_bench.world.profile import HIGHWAY_ENV
 
 Seen = Observed | tuple[Observed, ...]
 """Observations (B, ...); of several agents, those of each."""
+
+
+class EpisodesState(NamedTuple):
+    """What B running episodes continue from."""
+
+    environment: str
+    """highway-env's name, and the configuration."""
+    arrays: tuple[NDArray[Any], ...]
+    """Those of `Episodes`."""
+    seen: Seen
+    """The last observations."""
 
 
 class Decision(NamedTuple):
@@ -55,7 +68,6 @@ class Episodes:
         """Whether an action is one for each agent."""
         one, self.sees_agents = configuration.of_each_agent(one, "observation")
         """Whether an observation is one of each agent."""
-        _check_actions(task, one["action"].get("type"))
         with configuration.named(".action"):
             self.actions = actions_of(one, task.actions)
         """Those of one agent."""
@@ -110,8 +122,47 @@ class Episodes:
         self.steps[rows] = 0
         scenes.vehicles["crashed"][rows, self.task.vehicles :] = False  # obstacles, too, are new
         self.task.start(scenes, rows)
+        if isinstance(self.actions, Controls):
+            self.actions.take(scenes, rows, self.task.egos)
         for observer in self.observers:
             observer.start(scenes, rows)
+
+    def state(self, seen: Seen) -> EpisodesState:
+        """The present state, with the last observations, of which some have drawn noise."""
+        arrays = tuple(array.copy() for array in self._kept)
+        return EpisodesState(self._identity, arrays, deepcopy(seen))
+
+    def restore(self, state: EpisodesState) -> Seen:
+        """Continues from a state; returns its last observations.
+
+        Raises:
+            InputError: It is no such state, or of another environment, configuration or number of
+                episodes.
+        """
+        if not isinstance(state, EpisodesState):
+            raise InputError(
+                f"set_state: found {type(state).__name__}, expected a state of get_state"
+            )
+        if state.environment != self._identity:
+            raise InputError(
+                f"set_state: the state is of {state.environment}; expected {self._identity}"
+            )
+        for array, saved in zip(self._kept, state.arrays, strict=True):
+            array[:] = saved
+        return deepcopy(state.seen)
+
+    @property
+    def _identity(self) -> str:
+        config = json.dumps(self.config, default=str)
+        return f"{self.everyone.size} episodes of {self.name} with {config}"
+
+    @property
+    def _kept(self) -> tuple[NDArray[Any], ...]:
+        """The arrays [B, ...] from which episodes continue."""
+        scenes = self.scenes
+        of_scenes = scenes.vehicles, scenes.order, scenes.generator, scenes.time, scenes.steps
+        ranges = (each.ranges for each in self.observers if isinstance(each, Kinematics))
+        return (*of_scenes, self.steps, *ranges)
 
     def step(self, actions: NDArray[Any] | tuple[NDArray[Any], ...]) -> Decision:
         """Carries out the egos' actions (B, ...), each one of `actions.space`.
@@ -150,17 +201,6 @@ def _check_egos(task: type[Task], config: Any) -> None:
     given = config.get("controlled_vehicles", 1) if isinstance(config, Mapping) else 1
     if given != 1 and not task.can_have_egos:
         raise InputError(
-            f"config.controlled_vehicles: {given!r}; this environment does not support several "
-            "controlled vehicles yet, only 'intersection' and 'intersection-multi-agent' do; "
-            "expected 1"
-        )
-
-
-def _check_actions(task: type[Task], kind: Any) -> None:
-    """Raises an `InputError` if accelerations and steering angles are not supported yet."""
-    if kind in ("ContinuousAction", "DiscreteAction") and kind not in task.actions:
-        raise InputError(
-            f"config.action.type: '{kind}' is not supported in this environment yet, only in "
-            "'racetrack', 'parking', 'lane-keeping' and 'intersection'; expected "
-            "'DiscreteMetaAction'. The motorway of charms_bench/Ego-v0 takes actions='continuous'"
+            f"config.controlled_vehicles: {given!r}; this environment has one ego, whatever the "
+            "number in highway-env; expected 1"
         )

@@ -15,7 +15,7 @@ from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.generator import choice, uniform
 from charms_bench.roads.layout import WIDTH_M, Edge, straight_lanes
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
-from charms_bench.roads.task import Task, plan_route, share, weighted
+from charms_bench.roads.task import Task, plan_route, share, wanted_lane, weighted
 from charms_bench.world.road import heading_at, local_coordinates
 from charms_bench.world.road_network import CircularLane
 
@@ -26,7 +26,9 @@ RADIUS_M = 150.0
 class Rule(NamedTuple):
     """What the functions below need to know; lanes are indices, and other units are SI."""
 
+    egos: int
     vehicles: int
+    """With the egos."""
     main: int
     """The left lane of the first part of the motorway."""
     lanes: int
@@ -45,12 +47,14 @@ class Exit(Task):
     """[`ExitEnv`]"""
 
     terms = ("collision_reward", "goal_reward", "high_speed_reward", "right_lane_reward")
+    can_have_egos = True
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         super().__init__(config)
         lanes = int(config["lanes_count"])
-        self.vehicles = 1 + int(config["vehicles_count"])
+        self.vehicles = self.egos + int(config["vehicles_count"])
         self._rule = Rule(
+            self.egos,
             self.vehicles,
             self.lanes["0", "1", 0],
             lanes,
@@ -110,8 +114,9 @@ class Exit(Task):
 
     def _is_success(self, scenes: Scenes) -> Bools:
         """[`ExitEnv._is_success`]"""
-        target = scenes.vehicles["target_lane"][:, 0]
-        return np.asarray((target == self._rule.exit_lane) | (target == self._rule.exit_ramp))
+        ego = scenes.vehicles[:, 0]
+        lane = np.where(ego["kind"] == COMMANDED, ego["target_lane"], ego["lane"])
+        return np.isin(lane, (self._rule.exit_lane, self._rule.exit_ramp))
 
 
 @compiled_of_scenes
@@ -119,11 +124,13 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, routes: Ints, weights: Floats
     """[`ExitEnv._create_vehicles`]"""
     for b in rows:
         state = scenes.generator[b]
-        append(scenes, b, 0, COMMANDED, rule.main, 25.0, rule.ego_spacing, rule.crowding)
-        for i in range(1, rule.vehicles):
+        for i in range(rule.egos):
+            at = (i, i, COMMANDED, rule.main)
+            append(scenes, b, at, 25.0, rule.ego_spacing, rule.crowding)
+        for i in range(rule.egos, rule.vehicles):
             lane = rule.main + choice(state, weights)
             speed = scenes.road.lanes[lane].speed_limit
-            append(scenes, b, i, IDM, lane, speed, rule.spacing, rule.crowding)
+            append(scenes, b, (i, i, IDM, lane), speed, rule.spacing, rule.crowding)
             plan_route(scenes, b, i, routes, 0)
             scenes.vehicles[b, i].changes_lanes = False
 
@@ -132,20 +139,23 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, routes: Ints, weights: Floats
 def append(
     scenes: Scenes,
     b: int,
-    i: int,
-    kind: int,
-    lane: int,
+    at: tuple[int, int, int, int],
     speed: float,
     spacing: float,
     crowding: float,
 ) -> None:
-    """Puts vehicle i on a lane, ahead of the vehicles before it [`Vehicle.create_random`]."""
-    road = scenes.road
+    """Puts a vehicle on a lane, ahead of all before it [`Vehicle.create_random`].
+
+    Where it comes is its number in highway-env's order, its place, its kind and the lane.
+    """
+    road, (count, i, kind, lane) = scenes.road, at
     offset = spacing * (12 + 1.0 * speed) * crowding
-    s = 3 * offset if i == 0 else -np.inf
-    for k in range(i):
-        there, _ = local_coordinates(road, lane, scenes.vehicles[b, k].x, scenes.vehicles[b, k].y)
+    s = 3 * offset if count == 0 else -np.inf
+    for k in range(count):
+        other = scenes.vehicles[b, scenes.order[b, k].place]
+        there, _ = local_coordinates(road, lane, other.x, other.y)
         s = max(s, there)
+    scenes.order[b, count].place = i
     s += offset * uniform(scenes.generator[b], 0.9, 1.1)
     put_on_lane(scenes, b, i, kind, lane, s, heading_at(road, lane, s), speed)
 
@@ -155,10 +165,11 @@ def _judge(scenes: Scenes, rows: Ints, weights: Floats, rule: Rule, out: Floats)
     """[`ExitEnv._reward`, `ExitEnv._rewards`]"""
     for b in rows:
         ego = scenes.vehicles[b, 0]
+        lane = wanted_lane(ego)
         out[b, 1] = ego.crashed
-        out[b, 2] = ego.target_lane == rule.exit_lane or ego.target_lane == rule.exit_ramp
+        out[b, 2] = lane == rule.exit_lane or lane == rule.exit_ramp
         out[b, 3] = clip(share(ego.speed, rule.speed_low, rule.speed_high), 0.0, 1.0)
-        out[b, 4] = ego.target_lane - scenes.road.lanes[ego.target_lane].first
+        out[b, 4] = lane - scenes.road.lanes[lane].first
         total = weighted(weights, out[b])
         if rule.normalises:
             total = clip(share(total, weights[0], weights[1]), 0.0, 1.0)

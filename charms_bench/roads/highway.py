@@ -12,7 +12,14 @@ from charms_bench.foundation.generator import integers, uniform
 from charms_bench.roads.exit import append
 from charms_bench.roads.layout import Edge, straight_lanes
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes
-from charms_bench.roads.task import Task, draw_behaviour, is_on_own_lane, share, weighted
+from charms_bench.roads.task import (
+    Task,
+    draw_behaviour,
+    is_on_own_lane,
+    share,
+    wanted_lane,
+    weighted,
+)
 
 EGO_SPEED_MPS = 25.0
 SPEED_LOW, SPEED_HIGH = 0.7, 0.8
@@ -22,7 +29,9 @@ SPEED_LOW, SPEED_HIGH = 0.7, 0.8
 class Rule(NamedTuple):
     """What the functions below need to know; lanes are indices, and other units are SI."""
 
+    egos: int
     vehicles: int
+    """With the egos."""
     lanes: int
     ego_lane: int
     """The ego's lane at the start, -1 if it is drawn."""
@@ -41,14 +50,16 @@ class Highway(Task):
     """[`HighwayEnv`]"""
 
     terms = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
+    can_have_egos = True
     others_collide = True
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         super().__init__(config)
         lanes, ego_lane = int(config["lanes_count"]), config["initial_lane_id"]
-        self.vehicles = 1 + int(config["vehicles_count"])
+        self.vehicles = self.egos + int(config["vehicles_count"])
         self._ends_off_road = bool(config["offroad_terminal"])
         self._rule = Rule(
+            self.egos,
             self.vehicles,
             lanes,
             -1 if ego_lane is None else range(lanes)[ego_lane],
@@ -89,15 +100,21 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule) -> None:
     """[`HighwayEnv._create_vehicles`, `HighwayEnvFast._create_vehicles`]"""
     for b in rows:
         state = scenes.generator[b]
-        lane = rule.ego_lane if rule.ego_lane >= 0 else integers(state, 0, rule.lanes)
-        append(scenes, b, 0, COMMANDED, lane, EGO_SPEED_MPS, rule.ego_spacing, rule.crowding)
-        for i in range(1, rule.vehicles):
-            lane = integers(state, 0, rule.lanes)
-            limit = scenes.road.lanes[lane].speed_limit
-            speed = uniform(state, SPEED_LOW * limit, SPEED_HIGH * limit)
-            append(scenes, b, i, IDM, lane, speed, rule.spacing, rule.crowding)
-            draw_behaviour(scenes, b, i)
-            scenes.vehicles[b, i].checks_collisions = rule.others_collide
+        count, i = 0, rule.egos
+        for ego in range(rule.egos):
+            lane = rule.ego_lane if rule.ego_lane >= 0 else integers(state, 0, rule.lanes)
+            at = (count, ego, COMMANDED, lane)
+            append(scenes, b, at, EGO_SPEED_MPS, rule.ego_spacing, rule.crowding)
+            count += 1
+            # The others are split among the egos as evenly as possible, the first have more.
+            for _ in range((rule.vehicles - 1 - ego) // rule.egos):
+                lane = integers(state, 0, rule.lanes)
+                limit = scenes.road.lanes[lane].speed_limit
+                speed = uniform(state, SPEED_LOW * limit, SPEED_HIGH * limit)
+                append(scenes, b, (count, i, IDM, lane), speed, rule.spacing, rule.crowding)
+                draw_behaviour(scenes, b, i)
+                scenes.vehicles[b, i].checks_collisions = rule.others_collide
+                count, i = count + 1, i + 1
 
 
 @compiled_of_scenes
@@ -107,7 +124,7 @@ def _judge(scenes: Scenes, rows: Ints, weights: Floats, rule: Rule, out: Floats)
         ego = scenes.vehicles[b, 0]
         forward = ego.speed * ego.direction_x
         out[b, 1] = ego.crashed
-        out[b, 2] = ego.target_lane / max(rule.lanes - 1, 1)
+        out[b, 2] = wanted_lane(ego) / max(rule.lanes - 1, 1)
         out[b, 3] = clip(share(forward, rule.speed_low, rule.speed_high), 0.0, 1.0)
         out[b, 4] = is_on_own_lane(scenes, b)
         total = weighted(weights, out[b])

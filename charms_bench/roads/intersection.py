@@ -12,7 +12,6 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, normal, random, two_integers
-from charms_bench.roads.controls import kind_of_ego
 from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.locating import forget
 from charms_bench.roads.right_of_way import FREQUENCY_HZ
@@ -53,8 +52,6 @@ class Rule(NamedTuple):
     """What the functions below need to know; lanes are indices, and other units are SI."""
 
     egos: int
-    kind: int
-    """What the egos are, an index into `scenes.KINDS`."""
     destination: int
     """The index of the egos' route, -1 if their sides are drawn."""
     chance: float
@@ -77,7 +74,6 @@ class Intersection(Task):
         "deceleration_mps2": 3.0,
     }
     can_have_egos = True
-    actions = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         super().__init__(config)
@@ -98,7 +94,6 @@ class Intersection(Task):
         self._ends_off_road = bool(config["offroad_terminal"])
         self._rule = Rule(
             self.egos,
-            kind_of_ego(config),
             _SIDES if given else -1,
             float(config["spawn_probability"]),
             SIMULATED_S * int(hz),
@@ -270,9 +265,8 @@ def _start(
                 destination = integers(scenes.generator[b], 1, _SIDES)
             s = EGO_ALONG_M + 5.0 * normal(scenes.generator[b], 1.0, 1.0)
             heading = heading_at(road, lane, EGO_ALONG_M)
-            put_on_lane(scenes, b, ego, rule.kind, lane, s, heading, road.lanes[lane].speed_limit)
-            if rule.kind == COMMANDED:
-                plan_route(scenes, b, ego, routes, destination)
+            put_on_lane(scenes, b, ego, COMMANDED, lane, s, heading, road.lanes[lane].speed_limit)
+            plan_route(scenes, b, ego, routes, destination)
             own = scenes.vehicles[b, ego]
             for i in range(rule.egos, places):
                 other = scenes.vehicles[b, i]

@@ -6,6 +6,7 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, wrap_to_pi
+from charms_bench.foundation.generator import shuffle
 from charms_bench.roads.scenes import NOTHING, OBSTACLE, Scenes
 from charms_bench.world.road import distance_along, heading_at, local_coordinates, position
 from charms_bench.world.scene import Observations
@@ -41,11 +42,13 @@ def observe(
         features: (F,) indices into `FEATURES`.
         ranges: (B, F, 2) what is mapped onto [-1, 1]; not a number where nothing is.
         how: Whether positions are absolute, vehicles are sorted, values clipped, vehicles behind
-            seen, obstacles included and other vehicles' destinations seen; then the lane along
-            which the ego's x is measured, -1 for the x of the road [`ExitObservation`].
+            seen, obstacles included, other vehicles' destinations seen, and the rows after the
+            ego's shuffled by the scene's generator; then the lane along which the ego's x is
+            measured, -1 for the x of the road [`ExitObservation`].
         out: The observations.
     """
-    is_absolute, is_sorted, clips, sees_behind, has_obstacles, sees_intentions, exit_lane = how
+    is_absolute, is_sorted, clips, sees_behind = how[:4]
+    has_obstacles, sees_intentions, shuffles, exit_lane = how[4:]
     places, has_more = scenes.vehicles.shape[1], features.max() >= COS_D
     near, away = np.empty(places, dtype=np.int64), np.empty(places)
     values = np.empty(len(FEATURES))
@@ -88,6 +91,8 @@ def observe(
                     if clips and not math.isnan(value):
                         value = min(max(value, -1.0), 1.0)
                 out[b, row, f] = value
+        if shuffles:
+            shuffle(scenes.generator[b], out[b, 1:])
 
 
 @compiled

@@ -61,6 +61,7 @@ class Rule(NamedTuple):
 class Merge(Task):
     """[`MergeEnv`]"""
 
+    actions = ("DiscreteMetaAction", "DiscreteAction")
     terms = (
         "collision_reward",
         "right_lane_reward",

@@ -75,11 +75,9 @@ class Kinematics:
         found = options("observation", observation, {"type": kind, **_KINEMATICS})
         if kind == "ExitObservation":
             exit_lane = lanes["1", "2", config["lanes_count"]]
-            found |= {"order": "sorted", "include_obstacles": False}
+            found |= {"include_obstacles": False}
         features = list(found["features"] or _KINEMATICS["features"])
         _check_features(features, kinematics.FEATURES)
-        if found["order"] == "shuffled":
-            raise InputError("config.observation.order: 'shuffled' is not supported")
         if not found["vehicles_count"] >= 2:
             raise InputError("config.observation.vehicles_count: expected at least 2")
         shape = int(found["vehicles_count"]), len(features)
@@ -88,22 +86,24 @@ class Kinematics:
         ranges = found["features_range"] or _RANGES
         ranges = ranges if found["normalize"] else {}
         bounds = [ranges.get(name, (np.nan, np.nan)) for name in features]
-        self._ranges = np.tile(np.array(bounds, dtype=np.float64), (count, 1, 1))
+        self.ranges = np.tile(np.array(bounds, dtype=np.float64), (count, 1, 1))
+        """(B, F, 2) the values that become -1 and 1; not a number for what is not scaled."""
         has_width = not found["features_range"] and found["normalize"]
         self._of_width = [k for k, name in enumerate(features) if name == "y" and has_width]
-        flags = found["absolute"], found["order"] == "sorted", found["clip"], found["see_behind"]
-        sees = found["include_obstacles"], found["observe_intentions"], exit_lane
-        self._how = np.array([*flags, *sees], dtype=np.int64)
+        order, is_exit = found["order"], kind == "ExitObservation"
+        flags = found["absolute"], is_exit or order == "sorted", found["clip"], found["see_behind"]
+        sees = found["include_obstacles"], found["observe_intentions"]
+        self._how = np.array([*flags, *sees, order == "shuffled", exit_lane], dtype=np.int64)
         self._out = np.zeros((count, *shape), dtype=np.float32)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         for k in self._of_width:
             lanes = scenes.road.lanes["lanes"][scenes.vehicles["lane"][rows, self._ego]]
             half = _LANE_WIDTH_M * lanes
-            self._ranges[rows, k] = np.stack((-half, half), axis=1)
+            self.ranges[rows, k] = np.stack((-half, half), axis=1)
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observations:
-        how = self._features, self._ranges, self._how
+        how = self._features, self.ranges, self._how
         kinematics.observe(scenes, rows, self._ego, *how, self._out)
         return self._out[rows]
 

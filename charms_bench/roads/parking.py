@@ -12,10 +12,9 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
-from charms_bench.roads.controls import kind_of_ego
 from charms_bench.roads.goal import achieved_and_desired
 from charms_bench.roads.layout import WIDTH_M, Edge, RoadObject
-from charms_bench.roads.scenes import CONTINUOUS, LANDMARK, Scenes, place, put_on_lane
+from charms_bench.roads.scenes import COMMANDED, CONTINUOUS, LANDMARK, Scenes, place, put_on_lane
 from charms_bench.roads.task import Task
 from charms_bench.world.road import heading_at, position
 from charms_bench.world.road_network import SOLID, StraightLane
@@ -38,7 +37,6 @@ class Parking(Task):
     """[`ParkingEnv`]"""
 
     terms = ()
-    actions = ("ContinuousAction", "DiscreteAction", "DiscreteMetaAction")
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         super().__init__(config)
@@ -51,7 +49,6 @@ class Parking(Task):
             for x in (-length / 2, length / 2)
         ]
         self.objects = [goal, *walls] if config["add_walls"] else [goal]
-        self._ego = kind_of_ego(config)
         self._collision = float(config["collision_reward"])
         self._success = float(config["success_goal_reward"])
         self._weights = np.array(config["reward_weights"], dtype=np.float64)
@@ -68,7 +65,7 @@ class Parking(Task):
             yield "b", "c", StraightLane(start=(x, -near), end=(x, -far), line_types=lines)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
-        _start(scenes, rows, self._ego, self.vehicles)
+        _start(scenes, rows, self.vehicles)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         near = self.goal_rewards(*achieved_and_desired(scenes, rows, FEATURES, SCALES))
@@ -102,12 +99,13 @@ def _power(values: Floats, exponent: float) -> Floats:
 
 
 @compiled_of_scenes
-def _start(scenes: Scenes, rows: Ints, ego: int, vehicles: int) -> None:
+def _start(scenes: Scenes, rows: Ints, vehicles: int) -> None:
     """[`ParkingEnv._create_vehicles`]"""
     road = scenes.road
     for b in rows:
         state = scenes.generator[b]
-        place(scenes, b, 0, ego, 0.0, 0.0, 2.0 * math.pi * uniform(state, 0.0, 1.0), 0.0)
+        heading = 2.0 * math.pi * uniform(state, 0.0, 1.0)
+        place(scenes, b, 0, COMMANDED, 0.0, 0.0, heading, 0.0)
         spots = np.arange(road.lanes.size)
         spots = spots[spots != scenes.vehicles[b, 0].lane]
         lane = spots[integers(state, 0, spots.size)]

@@ -12,9 +12,8 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
-from charms_bench.roads.controls import kind_of_ego
 from charms_bench.roads.layout import Edge, RoadObject
-from charms_bench.roads.scenes import IDM, NOTHING, Scenes, put_on_lane
+from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_lane
 from charms_bench.roads.task import Task, is_on_own_lane, share
 from charms_bench.world.lane_geometry import STRAIGHT, Pair
 from charms_bench.world.road import heading_at, local_coordinates, position
@@ -40,8 +39,6 @@ _SS, _NC = (STRIPED, STRIPED), (NO_LINE, SOLID)
 class Rule(NamedTuple):
     """What the functions below need to know; lanes are indices, and other units are SI."""
 
-    ego: int
-    """The kind of the ego."""
     own: int
     """The first of the lanes on which the ego can start."""
     own_lanes: int
@@ -65,7 +62,6 @@ class Racetrack(Task):
         super().__init__(config)
         self.vehicles = 1 + int(config["other_vehicles"])
         self._rule = Rule(
-            kind_of_ego(config),
             self.lanes["a", "b", 0],
             self.start_lanes,
             self.lanes["b", "c", 0],
@@ -239,7 +235,7 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, nodes: Ints, roads: Ints) -> 
         number = integers(state, 0, rule.own_lanes)
         lane, s = rule.own + number, uniform(state, 20.0, 50.0)
         heading, speed = heading_at(road, lane, s), road.lanes[lane].speed_limit
-        put_on_lane(scenes, b, 0, rule.ego, lane, s, heading, speed)
+        put_on_lane(scenes, b, 0, COMMANDED, lane, s, heading, speed)
         count = 1
         if rule.others > 0:
             lane, s = rule.ahead + number, uniform(state, 0.0, road.lanes[rule.ahead].length)

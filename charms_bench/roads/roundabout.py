@@ -13,7 +13,7 @@ from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, normal, uniform
 from charms_bench.roads.layout import WIDTH_M, Edge
-from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_lane
+from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, index_of, put_on_lane
 from charms_bench.roads.task import (
     Task,
     draw_behaviour,
@@ -79,6 +79,7 @@ class Rule(NamedTuple):
 class Roundabout(Task):
     """[`RoundaboutEnv`]"""
 
+    actions = ("DiscreteMetaAction", "DiscreteAction")
     terms = (
         "collision_reward",
         "high_speed_reward",
@@ -305,7 +306,10 @@ def _judge(
     for b in rows:
         ego = scenes.vehicles[b, 0]
         out[b, 1] = ego.crashed
-        out[b, 2] = ego.speed_index / 2  # of the default target speeds, whatever they are
+        index = ego.speed_index
+        if ego.kind != COMMANDED:
+            index = index_of(ego.speed, scenes.target_speeds)
+        out[b, 2] = index / 2  # of the default target speeds, whatever they are
         out[b, 3] = actions[b] in (LANE_LEFT, LANE_RIGHT)
         out[b, 4] = is_on_own_lane(scenes, b)
         total = weighted(weights, out[b])

@@ -7,13 +7,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import random, uniform
 from charms_bench.roads.layout import Edge, Layout, RoadObject
-from charms_bench.roads.scenes import GAINS, Scenes
+from charms_bench.roads.scenes import COMMANDED, GAINS, Row, Scenes
 from charms_bench.world.road import is_on_lane
+
+ACTIONS = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
 
 
 class Task(ABC):
@@ -25,8 +26,8 @@ class Task(ABC):
 
     terms: ClassVar[tuple[str, ...]]
     """The terms of the reward, in highway-env's order, which the configuration weights by name."""
-    actions: ClassVar[tuple[str, ...]] = ("DiscreteMetaAction",)
-    """The types of actions that are supported."""
+    actions: ClassVar[tuple[str, ...]] = ACTIONS
+    """The types of actions with which highway-env's rewards can be computed."""
     has_info: ClassVar[bool] = True
     """Whether highway-env says anything about a step."""
     observes_before: ClassVar[bool] = False
@@ -49,10 +50,6 @@ class Task(ABC):
         """What the terms are multiplied by."""
         self.egos = int(config.get("controlled_vehicles", 1))
         """The number of controlled vehicles."""
-        if self.egos > 1 and not self.can_have_egos:
-            raise InputError(
-                f"config.controlled_vehicles: {self.egos} is not supported on this road; expected 1"
-            )
         self.duration = float(config.get("duration", np.inf))
         """The time after which an episode is truncated, s."""
         self.layout = Layout(self.lanes_of(config))
@@ -151,6 +148,12 @@ def weighted(weights: Floats, row: Floats) -> float:
 def share(value: float, low: float, high: float) -> float:
     """Where a value is between two others [`utils.lmap`]."""
     return (value - low) / (high - low)
+
+
+@compiled
+def wanted_lane(ego: Row) -> int:
+    """The lane to which a commanded ego steers, or the one on which an ego with controls is."""
+    return int(ego.target_lane if ego.kind == COMMANDED else ego.lane)
 
 
 @compiled

@@ -20,6 +20,7 @@ LENGTH_M = 800.0
 class TwoWay(Task):
     """[`TwoWayEnv`]"""
 
+    actions = ("DiscreteMetaAction",)
     terms = ("high_speed_reward", "left_lane_reward")
     vehicles = 6
 

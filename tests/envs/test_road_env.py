@@ -388,6 +388,69 @@ def test_a_wrong_change_of_the_configuration_is_rejected_at_the_next_reset() -> 
         env.reset()
 
 
+def same(one: Any, other: Any) -> bool:
+    """Whether observations, arrays or tuples or dictionaries of them, are equal."""
+    if isinstance(one, tuple):
+        return all(map(same, one, other))
+    if isinstance(one, dict):
+        return all(same(each, other[name]) for name, each in one.items())
+    return np.array_equal(one, other, equal_nan=True)
+
+
+@pytest.mark.parametrize("name", ["merge-v1", "intersection-multi-agent-v2", "lane-keeping-v0"])
+def test_episodes_continue_from_a_saved_state(name: str) -> None:
+    one, many = ours(name).unwrapped, vector(name, 3)
+    for env in (one, many):
+        env.action_space.seed(0)
+        env.reset(seed=5)
+        actions = [env.action_space.sample() for _ in range(12)]
+        for action in actions[:4]:
+            last = env.step(action)[0]
+        state = env.get_state()
+        first = copy.deepcopy([env.step(action)[:4] for action in actions[4:]])
+        assert same(env.set_state(state), last)
+        for action, expected in zip(actions[4:], first, strict=True):
+            assert same(env.step(action)[:4], expected)
+    with pytest.raises(InputError, match=f"^{name}: set_state: the state is of 3 episodes of"):
+        one.set_state(many.get_state())
+    with pytest.raises(ResetNeeded):
+        ours(name).unwrapped.get_state()
+
+
+def test_masks_of_actions_are_highway_envs_available_actions() -> None:
+    env, many = ours("exit-v1").unwrapped, vector("exit-v1", 2)
+    for each in (env, many):
+        each.reset(seed=0)
+    for action in (1, 4, 4):
+        assert not env.step(action)[2]
+        many.step([action, 1])
+        assert [*np.nonzero(env.action_masks())[0]] == sorted(env.get_available_actions())
+        assert np.array_equal(many.action_masks()[0], env.action_masks())
+    racetrack = ours("racetrack-v0").unwrapped
+    racetrack.reset(seed=0)
+    with pytest.raises(InputError, match="racetrack-v0: action masks: expected meta-actions"):
+        racetrack.action_masks()
+
+
+def test_a_reward_of_ones_own_replaces_highway_envs() -> None:
+    def hurried(vehicles: Any, terms: Any) -> Any:
+        return vehicles["speed"][:, 0] - 5 * terms["lane_change_reward"]
+
+    env, many = ours("merge-v1", reward=hurried), vector("merge-v1", 2, reward=hurried)
+    env.reset(seed=0)
+    many.reset(seed=0)
+    for action in (1, 0, 3):
+        reward, info = env.step(action)[1::3]
+        assert reward == info["speed"] - 5 * (action == 0)
+        assert many.step([action, 1])[1][0] == reward
+    with pytest.raises(InputError, match="reward: there are several agents; expected a function"):
+        ours("intersection-multi-agent-v1", reward=hurried)
+    wrong = ours("merge-v1", reward=lambda vehicles, terms: vehicles["speed"])
+    wrong.reset(seed=0)
+    with pytest.raises(InputError, match=r"merge-v1: reward: found the shape \(1, 6\); expected"):
+        wrong.step(1)
+
+
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize("name", ["merge-v1", "intersection-v1"])
 def test_a_copy_continues_like_its_original(name: str, copied: Any) -> None:

@@ -12,6 +12,7 @@ from charms_bench.foundation.generator import (
     normal,
     random,
     seeded,
+    shuffle,
     to_numpy,
     two_integers,
     uniform,
@@ -37,7 +38,7 @@ def test_small_seeds_are_those_of_numpys_generator(seed: int) -> None:
 @settings(deadline=None)
 @given(
     SEEDS,
-    st.lists(st.integers(0, 6), max_size=40),
+    st.lists(st.integers(0, 7), max_size=40),
     st.integers(1, 2**32 - 1),
     st.lists(st.floats(0.0, 9.0), min_size=1, max_size=6).filter(lambda some: sum(some) > 0.1),
 )
@@ -60,6 +61,12 @@ def test_any_sequence_of_draws_is_numpys(
         elif kind == 5:
             most = 2 + count % 9
             assert two_integers(state, most) == tuple(rng.choice(most, 2, replace=False))
+        elif kind == 6:
+            rows = np.arange(2 * (count % 40)).reshape(-1, 2)
+            expected = rows.copy()
+            rng.shuffle(expected)
+            shuffle(state, rows)
+            assert (rows == expected).all()
         else:
             assert integers(state, 0, len(some)) == rng.choice(len(some))
     assert (state == from_numpy(rng)).all()

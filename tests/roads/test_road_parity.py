@@ -24,6 +24,8 @@ LINEAR_ROADS = (
     *("roundabout-v0", "roundabout-generic-v1", "intersection-v0", "intersection-multi-agent-v2"),
 )
 """One of each kind of road where `other_vehicles_type` counts."""
+CONTROLS, STEPS = {"type": "ContinuousAction"}, {"type": "DiscreteAction"}
+META, KINEMATICS = {"type": "DiscreteMetaAction"}, {"type": "Kinematics"}
 Compared = Callable[..., Comparison]
 
 
@@ -40,6 +42,48 @@ def test_episodes_are_those_of_highway_env_to_the_last_bit(compared: Compared) -
 def test_they_are_with_other_configurations_too(name: str, compared: Compared) -> None:
     for config in CHOSEN[name]:
         assert compared(name, range(100, 102), config=config).differing == []
+
+
+def of_agents(action: Any, observation: Any = KINEMATICS) -> dict[str, Any]:
+    """The configuration in which egos have such actions and observations."""
+    return {
+        "action": {"type": "MultiAgentAction", "action_config": action},
+        "observation": {"type": "MultiAgentObservation", "observation_config": observation},
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "config"),
+    [
+        ("highway-fast-v0", {"controlled_vehicles": 3, "vehicles_count": 7, **of_agents(CONTROLS)}),
+        ("u-turn-v1", {"action": CONTROLS, "observation": {**KINEMATICS, "order": "shuffled"}}),
+    ],
+)
+def test_they_are_with_controls_several_egos_and_shuffled_rows(
+    name: str, config: dict[str, Any], compared: Compared
+) -> None:
+    found = compared(name, range(1), config=config)
+    assert (found.differing, found.largest) == ([], 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "config"),
+    [
+        ("highway-v0", {"action": {**CONTROLS, "dynamical": True}, "vehicles_count": 15}),
+        ("highway-fast-v0", {"controlled_vehicles": 3, "vehicles_count": 10}),
+        ("exit-v0", {"controlled_vehicles": 2, **of_agents(META, {"type": "ExitObservation"})}),
+        ("exit-v1", {"action": CONTROLS}),
+        *((name, {"action": STEPS}) for name in ("merge-v1", "merge-generic-v1", "exit-v0")),
+        *((name, {"action": STEPS}) for name in ("roundabout-v1", "roundabout-generic-v1")),
+        ("intersection-v0", {"observation": {**KINEMATICS, "order": "shuffled"}}),
+        ("exit-v1", {"observation": {"type": "ExitObservation", "order": "shuffled"}}),
+    ],
+)
+def test_30_episodes_are_with_other_actions_egos_and_orders(
+    name: str, config: dict[str, Any]
+) -> None:
+    assert verify_road(name, 30, config=config).differing == []
 
 
 @pytest.mark.slow
