@@ -165,7 +165,7 @@ class Simulation(RunningEpisodes):
         for source in self.sources:
             source.after_decision()
         ends_off_road = self.settings.profile.offroad_terminal and self.egos_end_episodes
-        decisions, goals = self.settings.decisions, self.engine.goals
+        decisions, goals = self.settings.decisions, self.engine.goals & self.egos_end_episodes
         end_episodes(self.scene, decisions, ends_off_road, goals, self.steps, self.ending)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:

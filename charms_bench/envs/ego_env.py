@@ -175,8 +175,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         return self._observe()
 
     def _observe(self) -> Observations:
-        scene, ego = self.simulation.scene, self.simulation.ego_vehicles
-        return np.asarray(self._learners.observation(scene, ego)[0])
+        return np.asarray(self._learners.observe(self.simulation.ego_vehicles)[0])
 
     def _mask(self) -> dict[str, Any]:
         """The action mask for the info; continuous actions have none."""

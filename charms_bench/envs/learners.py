@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine import EngineName, MakeEngine
 from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION
-from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, are_off_road
+from charms_bench.engine.endings import GOAL, OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, are_off_road
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
@@ -24,7 +24,15 @@ from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
 from charms_bench.world.action_mask import ActionMasks, action_masks
 from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, ActionsLike, meta_actions_of
 from charms_bench.world.observations import Observation, neighbours
-from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
+from charms_bench.world.scene import (
+    Bools,
+    Floats,
+    Ints,
+    Observations,
+    Scene,
+    SceneSettings,
+    Vehicles,
+)
 
 C = TypeVar("C")
 VehicleReward = Callable[[Scene, Vehicles], Floats]
@@ -59,7 +67,8 @@ class Learners:
 
     In arrays (B L,), the learners of the first scene come first.
 
-    Vehicle 0 is the ego, and vehicle k is the k-th of the others in the order of spawning. A
+    Vehicle 0 is the ego, and vehicle k is the k-th of the others in the order of spawning. On some
+    roads, not all of them are there in each episode, and obstacles count, too, but none drives. A
     learner that has crashed, or has left the road if the profile ends episodes then, gets no more
     actions. Its vehicle stays in the scene, which goes on for the others until its time is over.
 
@@ -123,7 +132,7 @@ class Learners:
         self.spaces = spaces_of(settings, observation, like)[0], self.actions.space
         """Of a learner's observations and of its actions."""
         self.renderer = Renderer(scenes, settings.decision_hz, render_mode, title)
-        self.observation = observation
+        self._observation = observation
         self._reward: Any = reward
         self._has_started = False
 
@@ -154,7 +163,8 @@ class Learners:
         if not self._are_egos:
             ego, others = self.simulation.scene.ego[rows, None], np.array(self.numbers) - 1
             self._places[which] = np.where(others < 0, ego, others + (others >= ego)).ravel()
-            self._alive[which] = True
+            present = self.simulation.engine.state.present
+            self._alive[which] = present[self.scene_of[which], self._places[which]]
 
     @contextmanager
     def _placing(self) -> Iterator[None]:
@@ -204,11 +214,16 @@ class Learners:
         self._has_started = True
         self.returns[:] = 0.0
 
+    def observe(self, vehicles: Vehicles) -> Observations:
+        """The observations (M, rows, columns) of M vehicles."""
+        return np.asarray(self._observation(*self.simulation.engine.seen_by(vehicles)))
+
     def masks(self, vehicles: Vehicles) -> ActionMasks:
         """The action masks (M, A) of M vehicles; see `world.action_mask`."""
         self.check_started("action masks")
         own = meta_actions_of(self.actions.like) or DEFAULT_ACTIONS
-        return action_masks(self.simulation.scene, vehicles, own)[:, self.actions.meaning]
+        seen = self.simulation.engine.seen_by(vehicles)
+        return action_masks(*seen, own)[:, self.actions.meaning]
 
     def show(self) -> None:
         """Shows the scenes in a window if the render mode is `human`."""
@@ -247,7 +262,8 @@ class Learners:
             simulation.command(vehicles, actions[drove])
             simulation.step()
         self.show()
-        rewards = reward(*((simulation, prepared) if is_of_egos else (simulation.scene, vehicles)))
+        seen = (simulation, prepared) if is_of_egos else simulation.engine.seen_by(vehicles)
+        rewards = reward(*seen)
         if self._are_egos:
             endings = simulation.ending.copy()
         else:
@@ -262,12 +278,18 @@ class Learners:
         return Outcome(rewards, endings > TIME, endings == TIME, endings)
 
     def _endings(self, vehicles: Vehicles) -> Ints:
-        """(M,) how M vehicles have ended in this interval."""
-        simulation = self.simulation
-        collision = simulation.collision[vehicles]
-        endings = np.where(simulation.truncated[vehicles[0]], TIME, RUNNING)
+        """(M,) how M vehicles have ended in this interval.
+
+        On a road, the ego reaches its goal, and a vehicle that leaves the scene reaches its own.
+        """
+        simulation, (rows, places) = self.simulation, vehicles
+        engine, collision = simulation.engine, simulation.collision[vehicles]
+        endings = np.where(simulation.truncated[rows], TIME, RUNNING)
+        is_ego = places == engine.state.ego[rows]
+        endings[(engine.goals[rows] & is_ego) | ~engine.state.present[vehicles]] = GOAL
         if simulation.settings.profile.offroad_terminal:
-            endings[are_off_road(simulation.scene, *vehicles)] = OFF_ROAD
+            scene, seen = engine.seen_by(vehicles)
+            endings[are_off_road(scene, *seen)] = OFF_ROAD
         endings[collision != NO_COLLISION] = REAR_END
         endings[collision == SIDE_COLLISION] = SIDE
         return endings
@@ -300,17 +322,16 @@ def _engine_of(
     """The engine of the straight road, or that of a road.
 
     Raises:
-        InputError: Several learners, the ego's actions or an agent cannot drive on the road.
+        InputError: The learners' actions or an agent cannot drive on the road.
     """
     if settings.network is None:
         return "batched"
     from charms_bench.roads.engine import RoadEngine
     from charms_bench.roads.settings import problem_of_actions, problem_of_driver  # slow to import
 
-    if learners > 1:
-        settings.check_straight(f"{title}: several learners need")
-    if what := problem_of_actions(like, settings):
-        raise InputError(f"{title}: actions: on the road '{settings.network}': {what}")
+    for is_ego in (True, False)[:learners]:
+        if what := problem_of_actions(like, settings, is_ego):
+            raise InputError(f"{title}: actions: on the road '{settings.network}': {what}")
     for name, agent in agents.items():
         if what := problem_of_driver(agent, settings, is_ego=False):
             raise InputError(

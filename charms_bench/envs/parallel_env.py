@@ -159,7 +159,9 @@ class HighwayParallelEnv(NamedAgents):
             seed = checked_seed(seed)
             self._rng = np.random.default_rng(seed)
         self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
-        self.agents, self._has_started = self.possible_agents.copy(), True
+        alive = self._learners.alive
+        self.agents = [agent for agent, place in self._place.items() if alive[place]]
+        self._has_started = True
         self._learners.show()
         return self._observe(), {
             agent: {"seed": seed, **info} for agent, info in self._masks().items()
@@ -203,7 +205,7 @@ class HighwayParallelEnv(NamedAgents):
 
     def _observe(self) -> dict[str, Observations]:
         """The observations of `agents`."""
-        seen = self._learners.observation(self.simulation.scene, self._vehicles())
+        seen = self._learners.observe(self._vehicles())
         return dict(zip(self.agents, seen, strict=True))
 
     def _masks(self) -> dict[str, dict[str, Any]]:

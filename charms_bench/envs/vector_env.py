@@ -207,8 +207,10 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         if starting.size:
             self._start(starting)
             first = learners.of_scenes(starting)
-            started = learners.scene_of[first], learners.places[first]
-            observations[first] = learners.observation(simulation.scene, started)
+            first = first[learners.alive[first]]
+            observations[first] = learners.observe(
+                (learners.scene_of[first], learners.places[first])
+            )
         infos |= self._infos()
         return observations, rewards, terminations, truncations, infos
 
@@ -246,7 +248,7 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
 
     def _observe(self, vehicles: Vehicles, alive: Bools) -> Observations:
         """The observations (B L, rows, columns), zeros where `alive` (B L,) is false."""
-        return _spread(self._learners.observation(self.simulation.scene, vehicles), alive, 0)
+        return _spread(self._learners.observe(vehicles), alive, 0)
 
     def _masks(self) -> ActionMasks:
         """The action masks (B L, A); all 1 for learners that do not drive any more."""

@@ -10,10 +10,11 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import charms_bench.envs  # noqa: F401  # registers Ego-v0
-from charms_bench.engine.endings import ENDINGS, GOAL
+from charms_bench.engine.endings import ENDINGS, GOAL, RUNNING
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
 from charms_bench.envs.ego_env import EgoEnv
+from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.envs.parallel_env import HighwayParallelEnv
 from charms_bench.envs.rendering import moment_of
 from charms_bench.errors import InputError
@@ -138,9 +139,46 @@ def test_a_picture_has_the_vehicles_where_highway_env_puts_them() -> None:
     assert frame.std() > 0
 
 
-def test_several_learners_need_the_straight_road() -> None:
-    with pytest.raises(InputError, match="several learners need the straight road, not `road: mer"):
-        HighwayParallelEnv(learners=(0, 1), traffic=AMONG_HUMANS, **SCENE)
+@pytest.mark.parametrize("road", ["merge-v1", "roundabout-v1"])
+def test_learners_with_the_decisions_of_agents_drive_as_these(road: str) -> None:
+    traffic, policy = {"road": road, "drivers": "imitation"}, make_agent("imitation")
+    assert isinstance(policy, Policy)
+    settings = on_road(SceneSettings.model_validate(SCENE), road)
+    around = TrafficSpec.model_validate(traffic).make()
+    agents = {"imitation": policy}
+    suite = Simulation(settings, 1, "imitation", around, agents, engine_on(settings))
+    suite.reset(np.array([7], dtype=np.uint64))
+    env = HighwayParallelEnv(
+        traffic=traffic, actions=policy.actions, observation=policy.observation, **SCENE
+    )
+    seen, _ = env.reset(seed=7)
+    present = suite.engine.state.present[0]
+    assert env.agents == [f"vehicle_{k}" for k in np.nonzero(present)[0]]
+    decisions = 0
+    while suite.ending[0] == RUNNING and len(env.agents) == present.sum():
+        suite.step()
+        actions = policy.decide(np.stack([*seen.values()]))
+        seen, *_ = env.step(dict(zip(seen, actions.tolist(), strict=True)))
+        for name in ("x", "y", "speed", "lane"):
+            found, expected = (getattr(each.engine.state, name) for each in (env.simulation, suite))
+            np.testing.assert_array_equal(found[:, present], expected[:, present])
+        decisions += 1
+    assert decisions > 10
+
+
+def test_a_learner_that_reaches_the_goal_leaves_the_others_on_the_road() -> None:
+    env = LearnersVectorEnv(2, (0, 2), traffic=AMONG_HUMANS, first_seed=5, **SCENE)
+    env.reset()
+    endings = np.zeros((2, 2), dtype=np.int64)
+    for _ in range(135):
+        _, _, terminated, truncated, infos = env.step(np.full(4, IDLE))
+        ended = (terminated | truncated).reshape(2, 2)
+        if ended.any():
+            endings[ended] = infos["final_info"]["ending"].reshape(2, 2)[ended]
+        if endings.all():
+            break
+    assert GOAL in endings[:, 0]
+    assert GOAL not in endings[:, 1]
 
 
 def test_a_planner_cannot_be_the_traffic() -> None:
