@@ -36,8 +36,8 @@ RoadReward = Callable[[NDArray[np.void], Mapping[str, Floats]], Floats]
 name."""
 
 
-class _Stepped:
-    """What an environment and a vector environment of highway-env's roads share."""
+class RoadScenes:
+    """What all environments of highway-env's roads share: alone, as vectors and of named agents."""
 
     _name: str
     _episodes: Episodes
@@ -46,15 +46,6 @@ class _Stepped:
     _reward: RoadReward | None
     _seen: Any = None
     """The last observations (B, ...); None before the first reset."""
-
-    def get_state(self) -> EpisodesState:
-        """The state of every episode, for `set_state`.
-
-        Raises:
-            ResetNeeded: There was no reset yet.
-        """
-        self._check_started("get_state")
-        return self._episodes.state(self._seen)
 
     def _continue(self, state: EpisodesState) -> None:
         """Continues the episodes of a state."""
@@ -98,7 +89,7 @@ class _Stepped:
             raise ResetNeeded(f"{what} before the first reset")
 
 
-class RoadEnv(_Stepped, gymnasium.Env[Any, Any]):
+class RoadEnv(RoadScenes, gymnasium.Env[Any, Any]):
     """One episode after another of one of highway-env's environments.
 
     The same seed gives the scene of highway-env, and the same actions the same episode.
@@ -276,6 +267,15 @@ class RoadEnv(_Stepped, gymnasium.Env[Any, Any]):
         """
         return np.asarray(self._masks()[0])
 
+    def get_state(self) -> EpisodesState:
+        """The state of the episode, for `set_state`.
+
+        Raises:
+            ResetNeeded: There was no reset yet.
+        """
+        self._check_started("get_state")
+        return self._episodes.state(self._seen)
+
     def set_state(self, state: EpisodesState) -> Any:
         """Continues the episode of a state of `get_state`; returns its last observation.
 
@@ -314,7 +314,7 @@ class GoalRoadEnv(RoadEnv):
         return _goal_rewards(self._name, self._episodes, achieved_goal, desired_goal, p)
 
 
-class RoadVectorEnv(_Stepped, VectorEnv[Any, Any, NDArray[Any]]):
+class RoadVectorEnv(RoadScenes, VectorEnv[Any, Any, NDArray[Any]]):
     """B environments `RoadEnv` side by side; where an episode ends, the next starts at once.
 
     `autoreset_mode` is another of Gymnasium's `AutoresetMode`, in which it starts in the next step,
@@ -460,6 +460,15 @@ class RoadVectorEnv(_Stepped, VectorEnv[Any, Any, NDArray[Any]]):
             ResetNeeded: There was no reset yet.
         """
         return self._masks()
+
+    def get_state(self) -> EpisodesState:
+        """The state of every episode, for `set_state`.
+
+        Raises:
+            ResetNeeded: There was no reset yet.
+        """
+        self._check_started("get_state")
+        return self._episodes.state(self._seen)
 
     def set_state(self, state: EpisodesState) -> Any:
         """Continues the episodes of a state of `get_state`; returns their last observations.

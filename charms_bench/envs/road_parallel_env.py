@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from charms_bench.envs.parallel_env import NamedAgents, Step
-from charms_bench.envs.road_env import episodes_of, spaces_of
+from charms_bench.envs.rendering import RENDER_MODES, Frame, Renderer
+from charms_bench.envs.road_env import RoadScenes, episodes_of, spaces_of
+from charms_bench.envs.road_rendering import RoadPictures
 from charms_bench.envs.seeds import checked_seed, random_seeds
 from charms_bench.errors import InputError
 from charms_bench.world.scene import Observations
@@ -18,7 +20,7 @@ from charms_bench.world.scene import Observations
 Infos = dict[str, dict[str, Any]]
 
 
-class RoadParallelEnv(NamedAgents):
+class RoadParallelEnv(RoadScenes, NamedAgents):
     """One episode after another of one of highway-env's environments with several agents.
 
     The agents are `vehicle_0`, `vehicle_1` and so on, in the order of highway-env's
@@ -31,16 +33,16 @@ class RoadParallelEnv(NamedAgents):
     Args:
         name: highway-env's name of the environment, such as `intersection-multi-agent-v1`.
         config: highway-env's configuration; what is not given has its default.
-        render_mode: Pictures are not supported.
+        render_mode: `rgb_array`, `human`, or None.
 
     Raises:
-        InputError: The environment has one agent or actions that are not meta-actions, or its
-            configuration is not supported.
+        InputError: The environment has one agent or actions that are not meta-actions, its
+            configuration is not supported, or there is no such mode.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # pettingzoo's declaration
         "name": "charms_bench_road_v0",
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
         "is_parallelizable": True,
     }
 
@@ -50,18 +52,21 @@ class RoadParallelEnv(NamedAgents):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        if render_mode is not None:
-            raise InputError(f"{name}: render_mode: pictures of several agents are not supported")
-        self._episodes = episodes_of(name, 1, config)
+        self._name, self._episodes = name, episodes_of(name, 1, config)
         if not (self._episodes.has_agents and self._episodes.sees_agents):
             raise InputError(
                 f"{name}: expected actions of type 'MultiAgentAction' and observations of type "
                 "'MultiAgentObservation'"
             )
+        if not self._episodes.task.rewards_each:
+            raise InputError(f"{name}: highway-env has rewards of the first of several egos only")
         if "IDLE" not in getattr(self._episodes.actions, "names", ()):
             raise InputError(f"{name}: expected actions of type 'DiscreteMetaAction'")
         self._episodes.seed(self._episodes.everyone, random_seeds(1))
-        self.render_mode = None
+        hz = self._episodes.config["policy_frequency"]
+        self.render_mode, self._pictures = render_mode, RoadPictures()
+        self._renderer = Renderer(1, hz, render_mode, name)
+        self.metadata = {**self.metadata, "render_fps": hz}
         self.possible_agents = [f"vehicle_{k}" for k in range(self._episodes.agents)]
         self.agents = []
         self._place = {agent: k for k, agent in enumerate(self.possible_agents)}
@@ -93,7 +98,9 @@ class RoadParallelEnv(NamedAgents):
             episodes.seed(episodes.everyone, seeds)
         episodes.start(episodes.everyone)
         self.agents, self._has_started = self.possible_agents.copy(), True
-        return self._of_agents(episodes.observe()), self._infos()
+        self._seen = episodes.observe()
+        self._renderer.show(self._frame)
+        return self._of_agents(self._seen), self._infos()
 
     def step(self, actions: Mapping[str, int]) -> Step:
         """Carries out the actions of all agents until the next decision.
@@ -111,6 +118,8 @@ class RoadParallelEnv(NamedAgents):
         names: Any = episodes.actions
         chosen = self._checked(actions, names.names, names.names.index("IDLE"))
         decision = episodes.step(tuple(chosen[:, None]))
+        self._seen = decision.observations
+        self._renderer.show(self._frame)
         found = episodes.task.information(episodes.scenes)
         observations, infos = self._of_agents(decision.observations), self._infos()
         rewards = self._of_agents(found["agents_rewards"].T)
@@ -126,6 +135,16 @@ class RoadParallelEnv(NamedAgents):
             truncated,
             infos,
         )
+
+    def render(self) -> Frame | None:
+        """The picture (height, width, 3) in the mode `rgb_array`; None in other modes."""
+        self._check_started("render")
+        frames = self._renderer.render(self._frame)
+        return frames[0] if frames else None
+
+    def close(self) -> None:
+        """Closes the window."""
+        self._renderer.close()
 
     def _of_agents(self, values: Any) -> dict[str, Any]:
         """The values of `agents`, from those (1, ...) of all agents."""

@@ -73,7 +73,7 @@ class Intersection(Task):
         "acceleration_mps2": 6.0,
         "deceleration_mps2": 3.0,
     }
-    can_have_egos = True
+    can_have_egos = rewards_each = True
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         super().__init__(config)

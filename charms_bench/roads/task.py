@@ -40,6 +40,8 @@ class Task(ABC):
     """Whether the vehicles other than the egos are of the type `other_vehicles_type`."""
     can_have_egos = False
     """Whether several vehicles can be controlled."""
+    rewards_each = False
+    """Whether highway-env has a reward and an ending of each of them."""
     vehicles: int
     """The most vehicles of a scene, with the egos."""
     objects: Sequence[RoadObject] = ()

@@ -74,3 +74,27 @@ def test_wrong_actions_are_rejected_by_name() -> None:
         env.step({"vehicle_0": 0})
     with pytest.raises(InputError, match="vehicle_1: no action 3; expected 0 to 2"):
         env.step({"vehicle_0": 0, "vehicle_1": 3})
+
+
+def test_pictures_are_those_of_the_environment_with_tuples() -> None:
+    env: Any = RoadParallelEnv(NAME, render_mode="rgb_array")
+    one: Any = gymnasium.spec(f"charms_bench/{NAME}").make(render_mode="rgb_array").unwrapped
+    for each in (env, one):
+        each.reset(seed=2)
+    env.step(dict.fromkeys(env.agents, FASTER))
+    one.step((FASTER, FASTER))
+    assert np.array_equal(env.render(), one.render())
+    assert env.render().std() > 0
+
+
+def test_egos_of_which_highway_env_rewards_the_first_only_are_rejected() -> None:
+    config = {
+        "controlled_vehicles": 2,
+        "action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}},
+        "observation": {
+            "type": "MultiAgentObservation",
+            "observation_config": {"type": "Kinematics"},
+        },
+    }
+    with pytest.raises(InputError, match="highway-v0: highway-env has rewards of the first of sev"):
+        RoadParallelEnv("highway-v0", config)
