@@ -6,8 +6,8 @@ from charms_bench.metrics.metric import EPISODES, Metric, per_episode
 
 ENDING = pl.first("ending")
 STRUCK = pl.first("struck")
-IS_JUDGED = pl.first("traffic_vehicles").is_not_null()
-"""Fault is not judged on highway-env's roads, where the traffic is not counted either."""
+AT_FAULT = pl.coalesce(pl.first("at_fault"), pl.first("at_fault_on_road"))
+"""On the straight road and on others; null if the ego did not crash, or it is undecided."""
 ENDED_BADLY = ENDING.is_in(["rear_end", "side", "off_road"])
 
 
@@ -33,10 +33,9 @@ OF_EGO = (
     per_episode(
         "crashed_at_fault",
         "",
-        pl.first("at_fault"),
+        AT_FAULT,
         "proportion of episodes in which the ego crashes and is at fault: it leaves the road, "
         "strikes a vehicle ahead, cuts in, or began last to move out of its lane",
-        counts=IS_JUDGED,
         interval="wilson",
     ),
     _per_1000km("crashes", "collisions of the ego and departures from the road", ENDED_BADLY),

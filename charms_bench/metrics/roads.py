@@ -6,10 +6,12 @@ The entering vehicle is the one that leaves the ramp of a merge, and the ego in 
 
 import polars as pl
 
-from charms_bench.metrics.collisions import ENDING, IS_JUDGED
+from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
 from charms_bench.metrics.metric import Metric, MetricSet, per_episode
 
 REACHED = ENDING == "goal"
+HAS_GOAL = pl.first("traffic_vehicles").is_null()
+"""A straight road, on which the traffic is counted, has no goal."""
 
 
 def _of_entry(column: str, name: str, unit: str, description: str, rests_on: str) -> Metric:
@@ -27,7 +29,7 @@ ROADS = MetricSet(
             "",
             REACHED,
             "proportion of episodes in which the ego reaches the goal of its road",
-            counts=~IS_JUDGED,  # a straight road has no goal
+            counts=HAS_GOAL,
             interval="wilson",
         ),
         per_episode(
@@ -37,6 +39,15 @@ ROADS = MetricSet(
             "time in which the ego reaches the goal of its road",
             rests_on="episodes with the goal reached",
             counts=REACHED,
+        ),
+        per_episode(
+            "fault_undecided",
+            "",
+            AT_FAULT.is_null(),
+            "proportion of the ego's crashes in which nobody is found to be at fault or not",
+            rests_on="crashes",
+            counts=ENDED_BADLY & HAS_GOAL,
+            interval="wilson",
         ),
         _of_entry(
             "entry_lead_gap_m",

@@ -84,7 +84,7 @@ EPISODE: Mapping[str, Column] = {
     ),
     "at_fault": Column(
         "Whether the ego is at fault for its crash (`recording.fault`); null if it did not crash, "
-        "and on highway-env's roads, where nobody judges who had the right of way.",
+        "and on highway-env's roads.",
         BOOL,
     ),
     "steps": Column("Decisions of the ego."),
@@ -99,6 +99,11 @@ EPISODE: Mapping[str, Column] = {
         "Time that they were there, together; null where nobody comes or goes: the whole episode.",
         F64,
         "s",
+    ),
+    "at_fault_on_road": Column(
+        "The same on one of highway-env's roads, where vehicles merge, cross and meet "
+        "(`roads.fault`); null if it is undecided.",
+        BOOL,
     ),
     "entry_lead_gap_m": Column(
         "On one of highway-env's roads: the gap to the leader when a vehicle enters "
@@ -122,10 +127,11 @@ EPISODE: Mapping[str, Column] = {
         "s",
     ),
 }
-"""One row per episode. On the straight road, files do not have the columns `entry_*`, and where
-nobody comes or goes, no `traffic_time_s`."""
+"""One row per episode. On the straight road, files do not have the columns `entry_*` and
+`at_fault_on_road`, and where nobody comes or goes, no `traffic_time_s`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
-OF_ROADS = tuple(name for name in EPISODE if name.startswith("entry_"))
+ON_ROAD = "at_fault_on_road"
+OF_ROADS = (ON_ROAD, *(name for name in EPISODE if name.startswith("entry_")))
 TIME_OF_TRAFFIC = "traffic_time_s"
 OPTIONAL = (TIME_OF_TRAFFIC, *OF_ROADS)
 """The columns that not all files have."""

@@ -13,6 +13,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.recording.columns import (
     EPISODE_SCHEMA,
     OF_TRAFFIC,
+    ON_ROAD,
     OPTIONAL,
     TIME_OF_TRAFFIC,
     table,
@@ -121,9 +122,10 @@ class Recording:
             columns[TIME_OF_TRAFFIC] = self._traffic_decisions * decision_s
         if self._on_network:
             measures = simulation.engine.measures.items()
-            # Nobody judges who had the right of way.
             columns |= dict.fromkeys(("at_fault", *OF_TRAFFIC))
             columns |= {name: pl.Series(values).fill_nan(None) for name, values in measures}
+            has_left = pl.Series(simulation.ending == OFF_ROAD)
+            columns[ON_ROAD] = (columns[ON_ROAD] > 0) | has_left
         names = [name for name in EPISODE_SCHEMA if name in columns or name not in OPTIONAL]
         schema = pl.Schema({name: EPISODE_SCHEMA[name] for name in names})
         return table(columns, schema).sort("episode")

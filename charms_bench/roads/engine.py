@@ -33,6 +33,7 @@ from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.fault import Fault
 from charms_bench.roads.locating import coordinates_of, forget
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.plan import plan_of
@@ -96,7 +97,11 @@ class RoadEngine(Shown):
         self.goals: Bools = np.zeros(scenes, dtype=np.bool_)
         on_network, task = self.episodes.scenes, self.episodes.task
         self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
-        self.measures: Mapping[str, Floats] = self._entries.measures
+        self._fault = Fault(scenes, on_network, task.ranks(on_network))
+        self.measures: Mapping[str, Floats] = {
+            "at_fault_on_road": self._fault.at_fault,
+            **self._entries.measures,
+        }
         self._kinds = np.zeros(shape, dtype=np.int64)
         """[B, N] what drives each vehicle."""
         self._ways = Ways.empty(*shape)
@@ -163,6 +168,7 @@ class RoadEngine(Shown):
                 wanted = nearest_target_speed(wanted, 0, self._rule.speeds)
                 vehicles["target_speed"][each] = wanted
         self._entries.start(rows, episodes.task.entering(episodes.scenes)[rows])
+        self._fault.start(rows)
         self._show(rows)
 
     def _seat(self, rows: Ints) -> None:
@@ -202,6 +208,7 @@ class RoadEngine(Shown):
             end = start + array[0].size * kind.itemsize
             part = np.ascontiguousarray(saved[:, start:end]).view(kind)
             array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
+        self._fault.start(rows)
         vehicles = self.episodes.scenes.vehicles
         had_targets = vehicles["kind"][rows] != CONTINUOUS
         self._seat(rows)
@@ -287,6 +294,7 @@ class RoadEngine(Shown):
         advance(self.episodes.scenes, scene.unpacked, views, self._ways, *told, self._kinds)
         self._moved[rows] = True
         self._entries.note(self.episodes.scenes, rows)
+        self._fault.note(self.episodes.scenes, rows)
         self.goals[rows] = self.episodes.task.has_reached_goal(self.episodes.scenes)[rows]
 
     def _drive(self, model: DriverModel, vehicles: Vehicles) -> None:

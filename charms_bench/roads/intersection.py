@@ -12,6 +12,7 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, normal, random, two_integers
+from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.locating import forget
 from charms_bench.roads.right_of_way import FREQUENCY_HZ
@@ -161,6 +162,10 @@ class Intersection(Task):
 
     def follow(self, scenes: Scenes, rows: Ints) -> None:
         _follow(scenes, rows, self._rule, self._entries, self._exits, self._routes)
+
+    def ranks(self, scenes: Scenes) -> Ints:
+        """highway-env's priorities; lanes that lead away say nothing."""
+        return np.where(self._exits, NO_RANK, scenes.road.lanes["priority"])
 
     def is_terminated(self, scenes: Scenes) -> Bools:
         egos = scenes.vehicles[:, : self.egos]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import random, uniform
+from charms_bench.roads.fault import ranks_of
 from charms_bench.roads.layout import Edge, Layout, RoadObject
 from charms_bench.roads.scenes import COMMANDED, GAINS, Row, Scenes
 from charms_bench.world.road import is_on_lane
@@ -108,6 +109,10 @@ class Task(ABC):
     def main_lanes(self, scenes: Scenes) -> Bools:
         """Whether, for the entering vehicle, others have the right of way on each lane (L,)."""
         return np.zeros(scenes.road.lanes.size, dtype=np.bool_)
+
+    def ranks(self, scenes: Scenes) -> Ints:
+        """Which lanes (L,) have the right of way over which others; see `fault.Fault`."""
+        return ranks_of(scenes.road, self.main_lanes(scenes))
 
     def information(self, scenes: Scenes) -> dict[str, Any]:
         """What the info has in addition, (B,) or (B, A) by name."""

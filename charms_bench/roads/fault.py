@@ -1,0 +1,302 @@
+"""Which vehicle is at fault for a collision of the ego on a road with junctions.
+
+On the straight road, `recording.fault` judges by lanes alone. Here, vehicles merge, cross and meet,
+so the rule first asks who had the right of way. It follows the Vienna Convention on Road Traffic
+(1968); where that leaves a number open, it is this project's choice.
+
+1. Whoever strikes an obstacle or a wreck is at fault.
+2. **Oncoming** (the angle is above 120 degrees): the vehicle on a lane of the other direction, or
+   beside all lanes (Articles 11 and 12).
+3. **Right of way**: a lane of a ramp or of the entry of a roundabout yields to the main lanes, and
+   in an intersection, a lane yields to those with a higher priority (Article 18). It counts for
+   `RECENT_S` after a vehicle has left the lane. The vehicle that should have yielded is at fault,
+   unless the other one strikes it and could have braked: from where it came into the way of the
+   other, this required at most 3.35 m/s2 (Archer 2005).
+4. **Rear end** (the angle is below 26 degrees): the striking vehicle, which has to keep its
+   distance (Article 13). But if the struck vehicle came into its way within the last `RECENT_S`,
+   and that required more than 3.35 m/s2, it is the struck vehicle (Article 14).
+5. **Crossing**, above 60 degrees, where neither lane has the right of way: the vehicle that has the
+   other one on its right yields, as in 3.
+6. **Side by side**: the vehicle that began last to move out of its lane, or both if they began in
+   the same simulation step, as in `recording.fault`.
+
+What this does not decide is undecided, such as a vehicle that meets another one beside the lanes of
+both.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.compiled import compiled_of_scenes
+from charms_bench.roads.scenes import OBSTACLE, Scenes
+from charms_bench.world.gaps import requires_braking
+from charms_bench.world.road import heading_at, is_on_lane, local_coordinates
+from charms_bench.world.road_network import Network
+from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
+
+RECENT_S = 2.0
+"""So long after it, a change of lanes or of roads is the reason of a collision."""
+KEPT_S = 5.0
+"""So much of what vehicles did is looked at."""
+REAR_END_COS, SIDE_COS = 0.9, 0.5
+"""The least cosines of the angle between vehicles; see `engine.collision_kinds`."""
+LANE_KEEPING_M, DRIFT_MPS = 0.25, 0.1
+"""As in `recording.fault`."""
+NO_RANK = -1
+"""Of a lane that says nothing about the right of way."""
+MOMENT = np.dtype(
+    [(name, np.float64) for name in ("x", "y", "heading", "speed")] + [("lane", np.int64)]
+)
+
+
+class Track(NamedTuple):
+    """What a vehicle did in T simulation steps, the last of which is that of its collision."""
+
+    moments: NDArray[np.void]
+    """(T,) rows of `MOMENT`; m, rad, m/s, and the nearest lane."""
+    length: float
+    width: float
+
+
+class Fault:
+    """Judges the collisions of the egos of B scenes.
+
+    Args:
+        count: B.
+        scenes: The scenes, of which the ego is the first vehicle.
+        ranks: (L,) a lane has the right of way over those with a lower rank; `NO_RANK` says
+            nothing.
+    """
+
+    def __init__(self, count: int, scenes: Scenes, ranks: Ints) -> None:
+        self.at_fault = np.full(count, np.nan)
+        """(B,) 1 if the ego is at fault for its collision, 0 if not, NaN if that is undecided or
+        there was none."""
+        self._dt, self._ranks = float(scenes.constants["dt"][0]), ranks
+        kept = round(KEPT_S / self._dt)
+        self._moments = np.zeros((kept, count, scenes.vehicles.shape[1]), MOMENT)
+        self._noted = np.zeros(count, dtype=np.int64)
+        self._wrecked = np.zeros(self._moments.shape[1:], dtype=np.int64)
+        """(B, N) since how many simulation steps a vehicle has been a wreck."""
+
+    def start(self, rows: Ints) -> None:
+        """Starts episodes in the scenes `rows` (R,), or continues them without a past."""
+        self.at_fault[rows], self._noted[rows], self._wrecked[rows] = np.nan, 0, 0
+
+    def note(self, scenes: Scenes, rows: Ints) -> None:
+        """Notes a simulation step of the scenes `rows`, and judges the egos that have collided."""
+        _note(scenes, rows, self._moments, self._noted, self._wrecked)
+        for b in rows[self._wrecked[rows, 0] == 1].tolist():
+            self.at_fault[b] = self._judge(scenes, b)
+
+    def _judge(self, scenes: Scenes, b: int) -> float:
+        vehicles, wrecked = scenes.vehicles[b], self._wrecked[b]
+        away = np.hypot(vehicles["x"] - vehicles["x"][0], vehicles["y"] - vehicles["y"][0])
+        away[(wrecked == 0) & (vehicles["kind"] > OBSTACLE)] = np.inf
+        away[vehicles["kind"] < OBSTACLE] = away[0] = np.inf
+        j = int(np.argmin(away))
+        ego, other = (self._track(scenes, b, i) for i in (0, j))
+        if vehicles["kind"][j] == OBSTACLE or wrecked[j] > 1:
+            return float(vehicles["kind"][j] == OBSTACLE or _strikes(ego, other))
+        found = at_fault(scenes.road, self._ranks, ego, other, self._dt)
+        return math.nan if found is None else float(found[0])
+
+    def _track(self, scenes: Scenes, b: int, i: int) -> Track:
+        kept, noted = len(self._moments), int(self._noted[b])
+        steps = np.arange(max(noted - kept, 0), noted) % kept
+        vehicle = scenes.vehicles[b, i]
+        size = float(vehicle["length"]), float(vehicle["width"])
+        return Track(self._moments[steps, b, i], *size)
+
+
+@compiled_of_scenes
+def _note(
+    scenes: Scenes, rows: Ints, moments: NDArray[np.void], noted: Ints, wrecked: Ints
+) -> None:
+    for b in rows:
+        k = noted[b] % moments.shape[0]
+        noted[b] += 1
+        for i in range(moments.shape[2]):
+            vehicle, moment = scenes.vehicles[b, i], moments[k, b, i]
+            moment.x, moment.y, moment.heading = vehicle.x, vehicle.y, vehicle.heading
+            moment.speed, moment.lane = vehicle.speed, vehicle.lane
+            wrecked[b, i] += vehicle.crashed
+
+
+def ranks_of(road: Network, main: Bools) -> Ints:
+    """The ranks (L,) of a road on which the lanes that lead to others yield to them.
+
+    Args:
+        road: The road.
+        main: (L,) whether others yield to each lane.
+    """
+    lanes = road.lanes
+    leads = main.copy()
+    for _ in range(lanes.size):  # until nothing changes: a lane that leads to such a lane
+        for lane in np.nonzero(~leads)[0]:
+            row = lanes[lane]
+            after = road.successors[row["next_roads"] : row["next_roads"] + row["next_count"]]
+            leads[lane] = any(leads[each : each + lanes["lanes"][each]].any() for each in after)
+    return np.where(main, 1, np.where(leads, 0, NO_RANK)) if main.any() else np.full(main.size, -1)
+
+
+def at_fault(
+    road: Network, ranks: Ints, one: Track, other: Track, dt: float
+) -> tuple[bool, bool] | None:
+    """Whether each of two vehicles that have just collided is at fault; None if it is undecided.
+
+    Args:
+        road: The lanes.
+        ranks: (L,) those of the lanes; see `Fault`.
+        one: The first vehicle.
+        other: The other vehicle, over the same T steps.
+        dt: The duration of a simulation step, s.
+    """
+    recent = round(RECENT_S / dt)
+    apart = float(other.moments["heading"][-1] - one.moments["heading"][-1])
+    cosine = math.cos(apart)
+    if cosine <= -SIDE_COS:
+        is_wrong, other_is_wrong = _is_on_wrong_side(road, one), _is_on_wrong_side(road, other)
+        if is_wrong != other_is_wrong:
+            return is_wrong, other_is_wrong
+    rank, other_rank = (_rank(ranks, each, recent) for each in (one, other))
+    has_ranks = NO_RANK not in (rank, other_rank)
+    if has_ranks and rank != other_rank:
+        return _of_intruder(rank < other_rank, one, other, None)
+    if cosine >= REAR_END_COS and (ahead := _ahead(one, other)) is not None:
+        return _of_intruder(ahead is one, one, other, recent)
+    if has_ranks and abs(cosine) < SIDE_COS:
+        # The y-axis points to the right of the x-axis, so the other one comes from the right.
+        return _of_intruder(math.sin(apart) < 0, one, other, None)
+    began, other_began = _moved_out(road, one), _moved_out(road, other)
+    if cosine <= -SIDE_COS or began == other_began == -1:
+        return None
+    return began >= other_began, other_began >= began
+
+
+def _of_intruder(is_first: bool, one: Track, other: Track, most: int | None) -> tuple[bool, bool]:
+    """Who is at fault if the first of two vehicles, or else the other one, should have yielded.
+
+    It is, unless the other one strikes it and could have braked since it came into its way. If it
+    came there more than `most` steps ago, or was there from the first step on, it did not come.
+    """
+    intruder, owner = (one, other) if is_first else (other, one)
+    is_at_fault = True
+    if _strikes(owner, intruder):
+        came = last = len(owner.moments) - 1
+        while came > 0 and _along(owner, intruder, came - 1) is not None:
+            came -= 1
+        is_at_fault = came > 0 and (most is None or last - came <= most)
+        if is_at_fault and (found := _along(owner, intruder, came)) is not None:
+            gap, closing = found
+            is_at_fault = gap <= 0 or bool(requires_braking(gap, closing, DRAC_LIMIT_MPS2))
+    return is_at_fault == is_first, is_at_fault != is_first
+
+
+def _along(owner: Track, intruder: Track, step: int) -> tuple[float, float] | None:
+    """The gap to a vehicle on the way that another one still drives, m, and how fast it closes.
+
+    The way ends where the other one's front is at the contact. None if no part of the vehicle is on
+    it.
+    """
+    way = np.stack((owner.moments["x"], owner.moments["y"]), axis=1)[step:]
+    heading = owner.moments["heading"][-1]
+    end = way[-1] + owner.length * np.array([np.cos(heading), np.sin(heading)])
+    parts = np.diff(np.vstack((way, end)), axis=0)
+    lengths = np.hypot(parts[:, 0], parts[:, 1])
+    moves = lengths > 0
+    starts, lengths = way[moves], lengths[moves]
+    units = parts[moves] / lengths[:, None]
+    before = np.cumsum(lengths) - lengths
+    to = _points(intruder, step)[:, None] - starts
+    along = (to * units).sum(axis=2)
+    aside = to[..., 0] * -units[:, 1] + to[..., 1] * units[:, 0]
+    is_beside = (along >= 0) & (along <= lengths) & (np.abs(aside) <= intruder.length)
+    if not (is_beside & (np.abs(aside) <= owner.width / 2)).any():
+        return None
+    nearest = np.argmin(np.where(is_beside, before + along, np.inf))
+    point, part = np.unravel_index(nearest, is_beside.shape)
+    moment = intruder.moments[step]
+    turn = moment["heading"] - np.arctan2(units[part, 1], units[part, 0])
+    gap = before[part] + along[point, part] - owner.length / 2
+    with_way = max(moment["speed"] * np.cos(turn), 0.0)
+    return float(gap), float(owner.moments["speed"][step] - with_way)
+
+
+def _points(track: Track, step: int) -> Floats:
+    """Points (K, 2) of a vehicle, at most a quarter of its length apart."""
+    moment = track.moments[step]
+    forward, aside = np.meshgrid(
+        np.linspace(-0.5, 0.5, 5) * track.length, np.linspace(-0.5, 0.5, 3) * track.width
+    )
+    cosine, sine = np.cos(moment["heading"]), np.sin(moment["heading"])
+    x = moment["x"] + forward * cosine - aside * sine
+    y = moment["y"] + forward * sine + aside * cosine
+    return np.stack((x.ravel(), y.ravel()), axis=1)
+
+
+def _seen_from(one: Track, x: Any, y: Any) -> tuple[Any, Any]:
+    """How far points are ahead of a vehicle's centre and to its right at the contact, m."""
+    own = one.moments[-1]
+    cosine, sine, dx, dy = (
+        np.cos(own["heading"]),
+        np.sin(own["heading"]),
+        x - own["x"],
+        y - own["y"],
+    )
+    return dx * cosine + dy * sine, dy * cosine - dx * sine
+
+
+def _strikes(one: Track, other: Track) -> bool:
+    """Whether a vehicle touches another one with its front: with its nearest point to the other."""
+    points = _points(other, -1)
+    ahead, aside = _seen_from(one, points[:, 0], points[:, 1])
+    nearest = np.argmin(np.maximum(np.abs(ahead) / one.length, np.abs(aside) / one.width))
+    return bool(ahead[nearest] / one.length >= abs(aside[nearest]) / one.width)
+
+
+def _ahead(one: Track, other: Track) -> Track | None:
+    """The vehicle whose rear the other, faster one has hit; None if they touch at their sides."""
+    ahead, aside = _seen_from(one, other.moments["x"][-1], other.moments["y"][-1])
+    along = (one.length + other.length) / 2 - abs(ahead)
+    across = (one.width + other.width) / 2 - abs(aside)
+    struck, striking = (other, one) if ahead > 0 else (one, other)
+    is_faster = striking.moments["speed"][-1] > struck.moments["speed"][-1]
+    return struck if along < across and is_faster else None
+
+
+def _rank(ranks: Ints, track: Track, recent: int) -> int:
+    """The lowest rank of the lanes on which a vehicle has been within so many steps."""
+    known = ranks[track.moments["lane"][-1 - recent :]]
+    known = known[known != NO_RANK]
+    return int(known.min()) if known.size else NO_RANK
+
+
+def _is_on_wrong_side(road: Network, track: Track) -> bool:
+    """Whether a vehicle's centre is on no lane of its direction."""
+    own = track.moments[-1]
+    x, y = float(own["x"]), float(own["y"])
+    for lane in range(road.lanes.size):
+        if is_on_lane(road, lane, x, y, 0.0):
+            s, _ = local_coordinates(road, lane, x, y)
+            if math.cos(heading_at(road, lane, s) - own["heading"]) > 0:
+                return False
+    return True
+
+
+def _moved_out(road: Network, track: Track) -> int:
+    """The step in which a vehicle last began to move out of its nearest lane; -1 if it did not."""
+    began, was_moving = -1, False
+    for k, moment in enumerate(track.moments):
+        lane = int(moment["lane"])
+        s, r = local_coordinates(road, lane, float(moment["x"]), float(moment["y"]))
+        drift = moment["speed"] * math.sin(moment["heading"] - heading_at(road, lane, s))
+        is_moving = abs(r) > LANE_KEEPING_M and drift * math.copysign(1.0, r) > DRIFT_MPS
+        if is_moving and not was_moving:
+            began = k
+        was_moving = is_moving
+    return began
