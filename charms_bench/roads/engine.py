@@ -83,7 +83,8 @@ class RoadEngine(Shown):
     ) -> None:
         assert settings.network is not None
         rates = {"simulation_frequency": settings.simulation_hz}
-        self.episodes = Episodes(settings.network, scenes, rates)
+        config = {**(settings.network.configuration or {}), **rates}
+        self.episodes = Episodes(settings.network.name, scenes, config)
         """The scenes on the network, of whose tables `state` is a view."""
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self._seen = Scene.empty(settings, scenes, parameters, memory)

@@ -12,6 +12,7 @@ from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.actions import ActionsLike, meta_actions_of
 from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import SceneSettings
 
@@ -20,6 +21,14 @@ _OF_STRAIGHT_ROADS = (
     *("inflow", "recording", "vehicle_types", "ego_type"),
 )
 """What a suite says of its scenes, but a road decides itself."""
+_OF_SCENES = {
+    "action": "the agents of a suite have their own actions",
+    "observation": "the agents of a suite have their own observations",
+    "simulation_frequency": "give scene.simulation_hz",
+    "policy_frequency": "give scene.decision_hz",
+    "duration": "give duration_s beside the road's name",
+}
+"""Keys of highway-env's configuration that a suite says in another way."""
 
 
 class _Road(NamedTuple):
@@ -34,10 +43,17 @@ class _Road(NamedTuple):
 
 
 @lru_cache
-def _road(name: str) -> _Road:
-    if name not in OF_SUITES:
-        raise InputError(f"no road named '{name}'. {suggestion(name, dict.fromkeys(OF_SUITES))}")
-    episodes = Episodes(name, 1)
+def _road(road: NamedRoad) -> _Road:
+    if road.name not in OF_SUITES:
+        known = suggestion(road.name, dict.fromkeys(OF_SUITES))
+        raise InputError(f"no road named '{road.name}'. {known}")
+    for key, what in _OF_SCENES.items():
+        if key in (road.configuration or {}):
+            raise InputError(f"configuration.{key}: {what}")
+    try:
+        episodes = Episodes(road.name, 1, road.configuration)
+    except InputError as error:
+        raise InputError(str(error).replace("config", "configuration", 1)) from error
     episodes.seed(episodes.everyone, np.zeros(1, dtype=np.uint64))
     episodes.start(episodes.everyone)
     scenes = episodes.scenes
@@ -48,19 +64,25 @@ def _road(name: str) -> _Road:
     return _Road(scenes.vehicles.shape[1], lanes, float(speed), float(slowest))
 
 
-def on_road(settings: SceneSettings, name: str) -> SceneSettings:
-    """The same settings for scenes of the environment of highway-env with that name.
+def on_road(
+    settings: SceneSettings, road: NamedRoad, duration_s: float | None = None
+) -> SceneSettings:
+    """The same settings for scenes on one of highway-env's roads.
+
+    By default, the duration is that of the settings.
 
     Raises:
-        InputError: There is no such road, or the settings place vehicles in another way.
+        InputError: There is no such road, its configuration is wrong, or the settings place
+            vehicles in another way.
     """
-    road = _road(name)
+    found = _road(road)
     for field in _OF_STRAIGHT_ROADS:
         if getattr(settings, field) != SceneSettings.model_fields[field].default:
             raise InputError(
-                f"the road '{name}' has its own lanes and vehicles; remove scene.{field}"
+                f"the road '{road}' has its own lanes and vehicles; remove scene.{field}"
             )
-    changes = {"network": name, "lanes": road.lanes, "traffic_vehicles": road.places - 1}
+    changes = {"network": road, "lanes": found.lanes, "traffic_vehicles": found.places - 1}
+    changes |= {"duration_s": duration_s} if duration_s is not None else {}
     return settings.model_copy(update={**changes, "ego_slots": 1})
 
 

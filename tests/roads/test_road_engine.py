@@ -24,6 +24,7 @@ from charms_bench.roads.settings import on_road
 from charms_bench.runs.runner import plan
 from charms_bench.runs.suite import Suite
 from charms_bench.world.actions import FASTER, IDLE, SLOWER
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import SceneSettings
 
@@ -51,7 +52,8 @@ def simulation(
     **scene: Any,
 ) -> Simulation:
     """Scenes that have been started with the seeds 0, 1, ..."""
-    settings = on_road(SceneSettings.model_validate({"profile": FREE, **scene}), road)
+    named = NamedRoad(name=road)
+    settings = on_road(SceneSettings.model_validate({"profile": FREE, **scene}), named)
     made = make_agent(agent) if isinstance(agent, str) else agent
     agents = {name: make_agent(name) for name in traffic.agents if name != PRESCRIBED}
     agents["ego"] = made
@@ -197,14 +199,14 @@ def test_an_ego_that_takes_the_exit_is_on_the_ramp() -> None:
     assert ego["y"].min() > 22.0
 
 
-def suite(agent: str, road: str, drivers: str = "", **profile: object) -> Suite:
-    traffic = {"road": road, **({"drivers": drivers} if drivers else {})}
+def suite(agent: str, *roads: str, traffic: str = "environment", **profile: object) -> Suite:
     return Suite.model_validate(
         {
             "suite": "roads",
             "episodes": 2,
             "scene": {"profile": {"name": "charms", **profile}},
             "egos": [{"agent": agent}],
+            "roads": roads,
             "traffic_models": [{"traffic": traffic}],
         }
     )
@@ -223,10 +225,8 @@ def test_a_planner_is_rejected_by_name() -> None:
 
 
 def test_a_planner_is_rejected_once_for_several_roads() -> None:
-    roads = [suite("mpc", road).traffics[0] for road in ("merge-v0", "u-turn-v0")]
-    both = suite("mpc", "merge-v0").model_copy(update={"traffics": tuple(roads)})
     with pytest.raises(SuiteError, match=r"copies of a straight road \(also mpc in u-t") as raised:
-        plan(both, "batched")
+        plan(suite("mpc", "merge-v0", "u-turn-v0"), "batched")
     assert not hasattr(raised.value, "__notes__")
 
 
@@ -283,10 +283,8 @@ def test_a_state_is_not_saved_to_a_file(tmp_path: Path) -> None:
     assert not any(tmp_path.iterdir())
 
 
-def test_without_drivers_the_traffic_is_that_of_the_environment() -> None:
-    spec = TrafficSpec.model_validate({"road": "merge-v0"})
-    assert spec.make().agents == (PRESCRIBED,)
-    assert "drivers" not in spec.model_dump(mode="json")
+def test_the_traffic_of_the_environment_is_driven_by_no_agent() -> None:
+    assert TrafficSpec.model_validate("environment").make().agents == (PRESCRIBED,)
 
 
 @pytest.mark.parametrize("traffic", [HUMANS, OneAgent("idm_mobil"), OneAgent("stackelberg")])
@@ -348,13 +346,5 @@ def test_on_a_motorway_the_views_of_two_vehicles_differ_by_a_shift_along_it() ->
 def test_a_driver_of_the_traffic_that_is_too_fast_is_rejected_by_name() -> None:
     what = "agent 'charms' cannot drive on the road 'u-turn-v0': .*slowest vehicle wants"
     with pytest.raises(SuiteError, match=what):
-        plan(suite("idm_mobil", "u-turn-v0", drivers="charms"), "batched")
-    assert plan(suite("idm_mobil", "merge-v0", drivers="pch"), "batched")
-
-
-@pytest.mark.parametrize(
-    "given", [{"drivers": "human"}, {"road": "merge-v0", "drivers": {"road": "exit-v0"}}]
-)
-def test_drivers_are_those_of_a_road(given: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match=r"road|drivers"):
-        TrafficSpec.model_validate(given)
+        plan(suite("idm_mobil", "u-turn-v0", traffic="charms"), "batched")
+    assert plan(suite("idm_mobil", "merge-v0", traffic="pch"), "batched")
