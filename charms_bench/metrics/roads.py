@@ -6,7 +6,7 @@ The entering vehicle is the one that leaves the ramp of a merge, and the ego in 
 
 import polars as pl
 
-from charms_bench.metrics.collisions import ENDING, IS_JUDGED
+from charms_bench.metrics.collisions import ENDING
 from charms_bench.metrics.metric import Metric, MetricSet, per_episode
 
 REACHED = ENDING == "goal"
@@ -26,8 +26,8 @@ ROADS = MetricSet(
             "goal_reached",
             "",
             REACHED,
-            "proportion of episodes in which the ego reaches the goal of its road",
-            counts=~IS_JUDGED,  # a straight road has no goal
+            "proportion of episodes in which the ego reaches the goal of its road, if it has one",
+            counts=pl.first("has_goal").fill_null(value=False),
             interval="wilson",
         ),
         per_episode(

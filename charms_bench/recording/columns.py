@@ -100,6 +100,10 @@ EPISODE: Mapping[str, Column] = {
         F64,
         "s",
     ),
+    "has_goal": Column(
+        "Whether the ego should get somewhere; null on the straight road, where it should not.",
+        BOOL,
+    ),
     "entry_lead_gap_m": Column(
         "On one of highway-env's roads: the gap to the leader when a vehicle enters "
         "(`roads.entries`); null without a leader within 100 m.",
@@ -122,12 +126,13 @@ EPISODE: Mapping[str, Column] = {
         "s",
     ),
 }
-"""One row per episode. On the straight road, files do not have the columns `entry_*`, and where
-nobody comes or goes, no `traffic_time_s`."""
+"""One row per episode. On the straight road, files do not have the columns `has_goal` and `entry_*`, and
+where nobody comes or goes, no `traffic_time_s`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
 OF_ROADS = tuple(name for name in EPISODE if name.startswith("entry_"))
 TIME_OF_TRAFFIC = "traffic_time_s"
-OPTIONAL = (TIME_OF_TRAFFIC, *OF_ROADS)
+HAS_GOAL = "has_goal"
+OPTIONAL = (TIME_OF_TRAFFIC, HAS_GOAL, *OF_ROADS)
 """The columns that not all files have."""
 
 COUNT: Mapping[str, Column] = {

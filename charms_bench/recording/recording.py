@@ -12,6 +12,7 @@ from charms_bench.engine.endings import ENDINGS, OFF_ROAD, REAR_END
 from charms_bench.engine.simulation import Simulation
 from charms_bench.recording.columns import (
     EPISODE_SCHEMA,
+    HAS_GOAL,
     OF_TRAFFIC,
     OPTIONAL,
     TIME_OF_TRAFFIC,
@@ -123,6 +124,7 @@ class Recording:
             measures = simulation.engine.measures.items()
             # Nobody judges who had the right of way.
             columns |= dict.fromkeys(("at_fault", *OF_TRAFFIC))
+            columns[HAS_GOAL] = np.full(simulation.seeds.size, simulation.engine.has_goal)
             columns |= {name: pl.Series(values).fill_nan(None) for name, values in measures}
         names = [name for name in EPISODE_SCHEMA if name in columns or name not in OPTIONAL]
         schema = pl.Schema({name: EPISODE_SCHEMA[name] for name in names})

@@ -1,5 +1,6 @@
 """The settings of scenes on a road of highway-env, and the agents that can drive there."""
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import numpy as np
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.roads import OF_SUITES
-from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.actions import ActionsLike, meta_actions_of
 from charms_bench.world.kinematics_observation import Kinematics
@@ -21,6 +22,8 @@ _OF_STRAIGHT_ROADS = (
     *("inflow", "recording", "vehicle_types", "ego_type"),
 )
 """What a suite says of its scenes, but a road decides itself."""
+SIMULATION_HZ = 15
+"""At which the start of an episode is looked at: few roads simulate before it."""
 _OF_SCENES = {
     "action": "the agents of a suite have their own actions",
     "observation": "the agents of a suite have their own observations",
@@ -36,6 +39,8 @@ class _Road(NamedTuple):
     """For vehicles and obstacles."""
     lanes: int
     """The most lanes beside each other."""
+    lane_width: float
+    """That of the ego's lane at the start, m."""
     ego_speed: float
     """The speed of the ego at the start, m/s."""
     others_speed: float
@@ -43,7 +48,7 @@ class _Road(NamedTuple):
 
 
 @lru_cache
-def _road(road: NamedRoad) -> _Road:
+def _road(road: NamedRoad, duration_s: float) -> _Road:
     if road.name not in OF_SUITES:
         known = suggestion(road.name, dict.fromkeys(OF_SUITES))
         raise InputError(f"no road named '{road.name}'. {known}")
@@ -51,7 +56,7 @@ def _road(road: NamedRoad) -> _Road:
         if key in (road.configuration or {}):
             raise InputError(f"configuration.{key}: {what}")
     try:
-        episodes = Episodes(road.name, 1, road.configuration)
+        episodes = episodes_of_agents(road, 1, SIMULATION_HZ, duration_s)
     except InputError as error:
         raise InputError(str(error).replace("config", "configuration", 1)) from error
     episodes.seed(episodes.everyone, np.zeros(1, dtype=np.uint64))
@@ -59,9 +64,11 @@ def _road(road: NamedRoad) -> _Road:
     scenes = episodes.scenes
     lanes = int(scenes.road.lanes["lanes"].max())
     others = scenes.vehicles[0, 1:]
-    slowest = others["target_speed"][others["kind"] > OBSTACLE].min()
+    slowest = others["target_speed"][others["kind"] > OBSTACLE].min(initial=math.inf)
     speed = scenes.vehicles["speed"][0, 0]
-    return _Road(scenes.vehicles.shape[1], lanes, float(speed), float(slowest))
+    width = scenes.road.lanes["width"][scenes.vehicles["lane"][0, 0]]
+    places = scenes.vehicles.shape[1]
+    return _Road(places, lanes, float(width), float(speed), float(slowest))
 
 
 def on_road(
@@ -75,15 +82,19 @@ def on_road(
         InputError: There is no such road, its configuration is wrong, or the settings place
             vehicles in another way.
     """
-    found = _road(road)
+    duration_s = settings.duration_s if duration_s is None else duration_s
+    found = _road(road, duration_s)
     for field in _OF_STRAIGHT_ROADS:
         if getattr(settings, field) != SceneSettings.model_fields[field].default:
             raise InputError(
                 f"the road '{road}' has its own lanes and vehicles; remove scene.{field}"
             )
     changes = {"network": road, "lanes": found.lanes, "traffic_vehicles": found.places - 1}
-    changes |= {"duration_s": duration_s} if duration_s is not None else {}
-    return settings.model_copy(update={**changes, "ego_slots": 1})
+    changes |= {"duration_s": duration_s, "ego_slots": 1}
+    if found.lane_width != settings.profile.lane_width_m:
+        width = {"lane_width_m": found.lane_width}
+        changes["profile"] = settings.profile.model_copy(update=width)
+    return settings.model_copy(update=changes)
 
 
 def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True) -> str:
@@ -104,7 +115,10 @@ def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True
 def problem_of_actions(actions: ActionsLike, settings: SceneSettings, is_ego: bool = True) -> str:
     """Why a road cannot be driven with these actions; empty if it can."""
     assert settings.network is not None
-    road, least = _road(settings.network), settings.profile.target_speed_min_mps
+    road, least = (
+        _road(settings.network, settings.duration_s),
+        settings.profile.target_speed_min_mps,
+    )
     speed, whose = road.ego_speed, "the ego starts at"
     if not is_ego:
         speed, whose = road.others_speed, "the slowest vehicle wants"
