@@ -126,8 +126,8 @@ EPISODE: Mapping[str, Column] = {
         "s",
     ),
 }
-"""One row per episode. On the straight road, files do not have the columns `has_goal` and `entry_*`, and
-where nobody comes or goes, no `traffic_time_s`."""
+"""One row per episode. Only files of highway-env's roads have the columns `has_goal` and `entry_*`,
+and where nobody comes or goes, none has `traffic_time_s`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
 OF_ROADS = tuple(name for name in EPISODE if name.startswith("entry_"))
 TIME_OF_TRAFFIC = "traffic_time_s"

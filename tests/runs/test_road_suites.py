@@ -68,7 +68,7 @@ def test_tables_have_the_goals_of_every_ego_on_every_road(made: Any) -> None:
 
 def test_a_straight_road_has_no_goal_to_reach() -> None:
     reached = next(each for each in ROADS.metrics if each.name == "goal_reached")
-    rows = pl.DataFrame({"ending": ["time", "time", "goal"], "traffic_vehicles": [9, None, None]})
+    rows = pl.DataFrame({"ending": ["time", "time", "goal"], "has_goal": [None, True, True]})
     sums = [row.select(*reached.sums).row(0) for row in rows.iter_slices(1)]
     values = reached.value(np.array([sums[0], np.sum(sums[1:], axis=0)], dtype=float))
     np.testing.assert_array_equal(values, [np.nan, 0.5])
@@ -216,7 +216,7 @@ def test_the_report_does_not_say_that_a_road_has_the_lanes_of_the_scene(made: An
 
 def test_the_time_to_the_goal_counts_episodes_with_the_goal_only() -> None:
     rows = {"episode": [0, 1, 2], "ending": ["goal", "time", "goal"], "steps": [3, 9, 6]}
-    on_roads = {"traffic_vehicles": pl.Series([None] * 3, dtype=pl.Int64)}
+    on_roads = {"has_goal": [True] * 3}
     episodes = pl.DataFrame({**rows, "duration_s": [1.0, 3.0, 2.0], **on_roads})
     reached, time = ROADS.metrics[:2]
     sums = episodes.group_by("episode", maintain_order=True).agg(

@@ -44,7 +44,7 @@ suite: survivor
 episodes: EPISODES
 scene: {duration_s: 3, profile: {name: charms, target_speed_min_mps: 0.0}}
 egos: [{agent: idm_mobil}]
-roads: [merge-v1]
+roads: [intersection-v2]
 traffic_models: [{traffic: {mixture: {human: 0.5, charms: 0.5}}}]
 """
 SMALL_SHARDS = """\
