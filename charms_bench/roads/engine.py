@@ -84,7 +84,7 @@ class RoadEngine(Shown):
     ) -> None:
         assert settings.network is not None
         hz = settings.simulation_hz
-        self.episodes = episodes_of_agents(settings.network, scenes, hz, settings.duration_s)
+        self.episodes = episodes_of_agents(settings.network, scenes, hz)
         """The scenes on the network, of whose tables `state` is a view."""
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self._seen = Scene.empty(settings, scenes, parameters, memory)

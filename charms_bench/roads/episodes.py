@@ -145,9 +145,7 @@ class Episodes:
         return tuple(seen) if self.sees_agents else seen[0]
 
 
-def episodes_of_agents(
-    road: NamedRoad, count: int, simulation_hz: int, duration_s: float
-) -> Episodes:
+def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int) -> Episodes:
     """B scenes for agents with actions of their own, with the configuration of a road.
 
     Where the environment's actions are accelerations and steering angles, the ego starts as it does
@@ -157,10 +155,8 @@ def episodes_of_agents(
         InputError: See `Episodes`.
     """
     config: dict[str, Any] = {**(road.configuration or {}), "simulation_frequency": simulation_hz}
-    default = DEFAULTS[road.name]
-    if "duration" in default:
-        config["duration"] = duration_s
-    if default["action"]["type"] == "ContinuousAction" and _takes_meta_actions(road.name):
+    is_continuous = DEFAULTS[road.name]["action"]["type"] == "ContinuousAction"
+    if is_continuous and _takes_meta_actions(road.name):
         config["action"] = {"type": "DiscreteMetaAction", "lateral": False}
     return Episodes(road.name, count, config)
 

@@ -9,6 +9,7 @@ import numpy as np
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.roads import OF_SUITES
+from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.actions import ActionsLike, meta_actions_of
@@ -30,8 +31,16 @@ _OF_SCENES = {
     "simulation_frequency": "give scene.simulation_hz",
     "policy_frequency": "give scene.decision_hz",
     "duration": "give duration_s beside the road's name",
+    "controlled_vehicles": "a suite has one ego",
 }
 """Keys of highway-env's configuration that a suite says in another way."""
+_MOST = {
+    **dict.fromkeys(("vehicles_count", "other_vehicles", "initial_vehicle_count"), 2000),
+    **dict.fromkeys(("lanes_count", "no_lanes", "roundabout_lanes"), 50),
+}
+"""The largest values of keys, so that scenes fit into memory."""
+LARGEST = 10_000
+"""That of all other keys."""
 
 
 class _Road(NamedTuple):
@@ -47,16 +56,23 @@ class _Road(NamedTuple):
     """The lowest target speed of another vehicle at the start of episode 0, m/s."""
 
 
-@lru_cache
-def _road(road: NamedRoad, duration_s: float) -> _Road:
+def _check(road: NamedRoad) -> None:
+    """Raises an `InputError` if a road is none of suites, or its configuration is not its own."""
     if road.name not in OF_SUITES:
         known = suggestion(road.name, dict.fromkeys(OF_SUITES))
         raise InputError(f"no road named '{road.name}'. {known}")
-    for key, what in _OF_SCENES.items():
-        if key in (road.configuration or {}):
-            raise InputError(f"configuration.{key}: {what}")
+    for key, value in (road.configuration or {}).items():
+        if key in _OF_SCENES:
+            raise InputError(f"configuration.{key}: {_OF_SCENES[key]}")
+        most = _MOST.get(key, LARGEST)
+        if isinstance(value, int | float) and not abs(value) <= most:
+            raise InputError(f"configuration.{key}: {value}; expected at most {most:,}")
+
+
+@lru_cache
+def _road(road: NamedRoad) -> _Road:
     try:
-        episodes = episodes_of_agents(road, 1, SIMULATION_HZ, duration_s)
+        episodes = episodes_of_agents(road, 1, SIMULATION_HZ)
     except InputError as error:
         raise InputError(str(error).replace("config", "configuration", 1)) from error
     episodes.seed(episodes.everyone, np.zeros(1, dtype=np.uint64))
@@ -82,8 +98,12 @@ def on_road(
         InputError: There is no such road, its configuration is wrong, or the settings place
             vehicles in another way.
     """
+    _check(road)
     duration_s = settings.duration_s if duration_s is None else duration_s
-    found = _road(road, duration_s)
+    if "duration" in DEFAULTS[road.name]:  # which decides how many vehicles there is room for
+        configuration = {**(road.configuration or {}), "duration": duration_s}
+        road = road.model_copy(update={"configuration": configuration})
+    found = _road(road)
     for field in _OF_STRAIGHT_ROADS:
         if getattr(settings, field) != SceneSettings.model_fields[field].default:
             raise InputError(
@@ -115,10 +135,7 @@ def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True
 def problem_of_actions(actions: ActionsLike, settings: SceneSettings, is_ego: bool = True) -> str:
     """Why a road cannot be driven with these actions; empty if it can."""
     assert settings.network is not None
-    road, least = (
-        _road(settings.network, settings.duration_s),
-        settings.profile.target_speed_min_mps,
-    )
+    road, least = _road(settings.network), settings.profile.target_speed_min_mps
     speed, whose = road.ego_speed, "the ego starts at"
     if not is_ego:
         speed, whose = road.others_speed, "the slowest vehicle wants"

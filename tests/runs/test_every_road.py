@@ -70,6 +70,14 @@ def test_only_a_motorway_has_no_goal(made: Any) -> None:
     assert table.filter(road="racetrack-oval-v1", agent="idm_mobil")["value"].max() == 1.0
 
 
+def test_how_a_collision_at_an_intersection_could_be_avoided_is_searched(made: Any) -> None:
+    crashed = made.episodes.filter(pl.col("ending").is_in(["rear_end", "side"]))
+    expected = crashed.filter(road="intersection-v2").height
+    found = made.avoidability(road="intersection-v2", budget=60)
+    assert len(found) == expected > 0
+    assert {each.road for each in found} == {"intersection-v2"}
+
+
 def test_a_replay_of_an_intersection_has_the_vehicles_that_enter(made: Any, tmp_path: Path) -> None:
     lasting = made.episodes.filter(agent="idm_mobil", road="intersection-v2").sort("steps")[-1]
     cell = {"ego": "idm_mobil", "road": "intersection-v2", "traffic": lasting["traffic"][0]}

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydantic import ValidationError
 from scenes import scene_of
 
@@ -25,6 +27,7 @@ from charms_bench.engine.collision_kinds import SIDE_COLLISION as SIDE
 from charms_bench.errors import InputError, RunFolderError, SuiteError
 from charms_bench.metrics import ROADS
 from charms_bench.people.population import read_population
+from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.settings import on_road
 from charms_bench.runs.likeness import standard
 from charms_bench.runs.runner import run
@@ -311,6 +314,11 @@ def test_a_road_has_its_configuration() -> None:
             [{"name": "exit-v0", "configuration": {"duration": 9}}],
             "configuration.duration: give duration_s beside the road's name",
         ),
+        (
+            [{"name": "intersection-v0", "configuration": {"controlled_vehicles": 2}}],
+            "configuration.controlled_vehicles: a suite has one ego",
+        ),
+        (["intersection-multi-agent-v0"], "no road named 'intersection-multi-agent-v0'"),
     ],
 )
 def test_a_road_that_cannot_be_is_one_message(tmp_path: Path, roads: object, what: str) -> None:
@@ -320,6 +328,32 @@ def test_a_road_that_cannot_be_is_one_message(tmp_path: Path, roads: object, wha
     )
     with pytest.raises(SuiteError, match=what):
         load_suite(path)
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=4,
+)
+
+
+def problem_of(road: dict[str, Any]) -> str:
+    """What is wrong with a road; if nothing is, what it has."""
+    try:
+        return repr(on_road(SceneSettings(), NamedRoad.model_validate(road)).network)
+    except (InputError, ValidationError) as error:
+        return str(error)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    name=st.sampled_from(["merge-generic-v1", "roundabout-generic-v0", "racetrack-oval-v0"]),
+    drawn=st.data(),
+)
+def test_any_configuration_is_a_road_or_one_message(name: str, drawn: st.DataObject) -> None:
+    keys = st.sampled_from(sorted(DEFAULTS[name]))
+    configuration = drawn.draw(st.dictionaries(keys, VALUES, min_size=1, max_size=2))
+    assert "configuration" in problem_of({"name": name, "configuration": configuration})
 
 
 @pytest.mark.parametrize(
