@@ -25,6 +25,7 @@ from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.recording.columns import COUNT, DRIVER, EPISODE, STEP
 from charms_bench.runs.suite import EgoEntry, Suite, TrafficEntry
+from charms_bench.runs.suite_roads import RoadEntry
 from charms_bench.world.profile import PROFILES, IdmMobilConstants, Profile
 from charms_bench.world.recordings import RecordedMoments, Split
 from charms_bench.world.scenario import Action, EgoStart, Parameter, PlacedVehicle, Scenario
@@ -36,6 +37,7 @@ BLOCK = re.compile(r"(<!-- generated: ([a-z-]+) -->\n\n).*?(<!-- end of generate
 SUITE_KEYS: dict[str, type[BaseModel]] = {
     "suite": Suite,
     "egos[]": EgoEntry,
+    "roads[]": RoadEntry,
     "traffic_models[]": TrafficEntry,
     "egos[].agent": AgentSpec,
     "traffic_models[].traffic": TrafficSpec,

@@ -36,6 +36,7 @@ from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Column, Row, Table
 from charms_bench.report.terminal import fitting
 from charms_bench.report.training_tables import stored_training
+from charms_bench.runs.cells import title_of
 from charms_bench.runs.resumable_folder import RunFolder
 
 ROOT = Path(__file__).parent.parent
@@ -196,8 +197,9 @@ def made_at(run: Path) -> str:
 
 
 def roads(run: Path) -> str:
-    """What the egos reach on each road: roads down, egos across."""
+    """What the egos reach on each road: roads down, egos across; then on roads among agents."""
     table, parts = tables_of(run).metrics, []
+    rows_of = (*table.rows, *tables_of(run.with_name("roads-traffic")).metrics.rows)
     shown = {
         "goal_reached": ("Episodes with the goal reached, %", 100.0),
         "crashed_episodes": ("Crashed episodes, %", 100.0),
@@ -205,7 +207,10 @@ def roads(run: Path) -> str:
     }
     for metric, (title, factor) in shown.items():
         places = [k for k, each in enumerate(table.columns) if each.name == metric]
-        numbers = {row.labels: row.numbers[places[-1]].scaled(factor) for row in table.rows}
+        numbers = {
+            (row.labels[0], title_of(row.labels[1:])): row.numbers[places[-1]].scaled(factor)
+            for row in rows_of
+        }
         egos, names = (tuple(dict.fromkeys(label[k] for label in numbers)) for k in (0, 1))
         rows = [Row((name,), tuple(numbers[ego, name] for ego in egos)) for name in names]
         columns = tuple(Column(ego, form=".0f", label=ego) for ego in egos)

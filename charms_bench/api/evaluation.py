@@ -143,8 +143,8 @@ def cell_of(suite: PathLike, agent: str, traffic: str | None) -> "tuple[Simulati
     cell = found[traffic] if traffic is not None else next(iter(found.values()))
     if cell.scene.network is not None:
         raise InputError(
-            f"{suite}: an episode is watched on the straight road, not `road: "
-            f"{cell.scene.network}`; `charms-bench replay` draws the episodes of a run there"
+            f"{suite}: an episode is watched on the straight road, not the road "
+            f"'{cell.scene.network}'; `charms-bench replay` draws the episodes of a run there"
         )
     ego, around = cell.ego.agent, cell.traffic.traffic.make()
     networks = networks_of(ego, around, loaded.folder)

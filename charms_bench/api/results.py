@@ -35,16 +35,17 @@ if TYPE_CHECKING:
 
 def _labelled(cell: CellRows, rows: pl.DataFrame) -> pl.DataFrame:
     """The rows after the labels of their cell."""
+    names = ("agent", "road", "traffic") if cell.road else ("agent", "traffic")
     return rows.select(
-        pl.lit(cell.agent).alias("agent"), pl.lit(cell.traffic).alias("traffic"), "*"
+        *(pl.lit(each).alias(name) for name, each in zip(names, cell.labels, strict=True)), "*"
     )
 
 
 class Run:
     """A finished run of a suite. Rows and tables are read from its folder when they are needed.
 
-    Where a method takes `ego` and `traffic`, they are labels that select cells; by default, all.
-    Methods about one episode raise InputError if the labels leave several cells. A label or an
+    Where a method takes `ego`, `road` and `traffic`, they are labels that select cells; by default,
+    all. Methods about one episode raise InputError if the labels leave several cells. A label or an
     episode that the run does not have, and one that no longer runs as it was recorded, is a
     RunFolderError.
 
@@ -73,12 +74,12 @@ class Run:
 
     @cached_property
     def cells(self) -> tuple[CellRows, ...]:
-        """Every ego in every traffic, each with its episode rows and its step rows."""
+        """Every ego on every road in every traffic, with its episode rows and its step rows."""
         return tuple(self._finished.cells())
 
     @property
     def episodes(self) -> pl.DataFrame:
-        """The episode rows of all cells, with columns `agent` and `traffic`."""
+        """The episode rows of all cells, with `agent`, `traffic`, and `road` if there are."""
         return pl.concat(_labelled(cell, cell.episodes) for cell in self.cells)
 
     @property
@@ -220,6 +221,7 @@ class Run:
         kind: "Kind | None" = None,
         ego: str | None = None,
         traffic: str | None = None,
+        road: str | None = None,
     ) -> "list[EdgeCase]":
         """The most critical episodes, most critical first.
 
@@ -228,6 +230,7 @@ class Run:
             kind: Only episodes of this kind, such as `near-miss`.
             ego: The ego.
             traffic: The traffic.
+            road: The road.
 
         Raises:
             InputError: The kind is unknown.
@@ -241,32 +244,36 @@ class Run:
         if kind is not None and kind not in IS_OF_KIND:
             known = {str(each): each for each in IS_OF_KIND}
             raise InputError(f"no kind of episode named '{kind}'. {suggestion(kind, known)}")
-        cells = find_cells(self._finished, self._suite_folder, ego, traffic)
+        cells = find_cells(self._finished, self._suite_folder, ego, traffic, road)
         warm_up()
         found = edge_cases(cells, top, kind)
         if self.suite.preventable_by:
             egos = {*self.suite.preventable_by, *(each.ego for each in found)}
             judged = verdicts(self.suite, [cell for cell in self.cells if cell.agent in egos])
             found = [
-                replace(each, preventable=judged.get((each.ego, each.traffic, each.episode)))
+                replace(each, preventable=judged.get((*each.labels, each.episode)))
                 for each in found
             ]
         return Lines(found)
 
     def replay(
-        self, episode: int, ego: str | None = None, traffic: str | None = None
+        self,
+        episode: int,
+        ego: str | None = None,
+        traffic: str | None = None,
+        road: str | None = None,
     ) -> "ShownReplay":
         """Simulates the episode with this seed again, with the states of all vehicles."""
         from charms_bench.api.shown import ShownReplay
         from charms_bench.episodes.replay import replay
 
-        return ShownReplay.of(replay(self._cell(ego, traffic), [episode])[0])
+        return ShownReplay.of(replay(self._cell(ego, traffic, road), [episode])[0])
 
-    def _cell(self, ego: str | None, traffic: str | None) -> "RecordedCell":
+    def _cell(self, ego: str | None, traffic: str | None, road: str | None) -> "RecordedCell":
         """The only cell with these labels, ready to be simulated."""
         from charms_bench.episodes.recorded_cell import find_cell
 
-        cell = find_cell(self._finished, self._suite_folder, ego, traffic)
+        cell = find_cell(self._finished, self._suite_folder, ego, traffic, road)
         warm_up()
         return cell
 
@@ -277,6 +284,7 @@ class Run:
         *,
         ego: str | None = None,
         traffic: str | None = None,
+        road: str | None = None,
         episodes: int | None = None,
     ) -> Path:
         """Simulates episodes again and writes them as a dataset for other tools.
@@ -288,6 +296,7 @@ class Run:
             output: The folder to write, which is returned; by default one in the run folder.
             ego: The ego; the episodes are those of one cell.
             traffic: The traffic.
+            road: The road.
             episodes: How many, from the first; by default all.
 
         Raises:
@@ -296,7 +305,7 @@ class Run:
         from charms_bench.episodes.dataset import write_dataset
 
         path = None if output is None else absolute(output)
-        cell = self._cell(ego, traffic)
+        cell = self._cell(ego, traffic, road)
         with progress("episodes", episodes or self.suite.episodes) as tell:
             title = cell.cell.ego.title
             return write_dataset(cell, format, episodes, path, lambda n: tell(title, n))
@@ -309,6 +318,7 @@ class Run:
         vehicle: int | None = None,
         ego: str | None = None,
         traffic: str | None = None,
+        road: str | None = None,
     ) -> "WhatIf":
         """An episode, and the same episode with another agent driving a vehicle from a decision on.
 
@@ -319,6 +329,7 @@ class Run:
             vehicle: The vehicle, by its number in replays; by default the ego.
             ego: The recorded ego.
             traffic: The traffic.
+            road: The road.
 
         Raises:
             InputError: There is no such decision, vehicle or agent.
@@ -326,7 +337,9 @@ class Run:
         from charms_bench.api.shown import ShownWhatIf
         from charms_bench.episodes.what_if import what_if
 
-        return ShownWhatIf.of(what_if(self._cell(ego, traffic), episode, step, agent, vehicle))
+        return ShownWhatIf.of(
+            what_if(self._cell(ego, traffic, road), episode, step, agent, vehicle)
+        )
 
     def avoidability(
         self,
@@ -334,6 +347,7 @@ class Run:
         ego: str | None = None,
         traffic: str | None = None,
         budget: int | None = None,
+        road: str | None = None,
     ) -> "list[Avoidability]":
         """Until when collisions of the ego could have been avoided, and by which agents.
 
@@ -343,6 +357,7 @@ class Run:
             ego: The ego.
             traffic: The traffic.
             budget: The most decisions to simulate in the search for one collision's escape.
+            road: The road.
 
         Raises:
             InputError: An episode does not end with a collision.
@@ -355,10 +370,10 @@ class Run:
         warm_up()
         found = []
         if episodes is None:
-            cells = find_cells(self._finished, self._suite_folder, ego, traffic)
+            cells = find_cells(self._finished, self._suite_folder, ego, traffic, road)
             asked = [(cell, collisions(cell)) for cell in cells]
         else:
-            asked = [(self._cell(ego, traffic), list(episodes))]
+            asked = [(self._cell(ego, traffic, road), list(episodes))]
         with progress("collisions", sum(len(seeds) for _, seeds in asked)) as tell:
             for cell, seeds in asked:
                 done = partial(tell, cell.cell.ego.title)
@@ -387,9 +402,7 @@ class Run:
 
     def __repr__(self) -> str:
         suite = self.suite
-        egos, traffics = len(suite.egos), len(suite.traffics)
-        cells = f"{counted(egos, 'ego')} x {counted(traffics, 'traffic model')}"
-        return f"<Run {self.path}: {cells}, {counted(suite.episodes, 'episode')} each>"
+        return f"<Run {self.path}: {suite.size}, {counted(suite.episodes, 'episode')} each>"
 
     def _repr_html_(self) -> str:
         from charms_bench.report.html.table import notebook

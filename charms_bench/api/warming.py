@@ -26,7 +26,7 @@ def warm_up() -> bool:
 
 def note_roads(suite: "Suite") -> None:
     """Says that a suite's first run on highway-env's roads compiles, if it does."""
-    if any(each.traffic.road for each in suite.traffics):
+    if suite.roads:
         from charms_bench.foundation.compiled import is_kept
         from charms_bench.roads.engine import advance
 

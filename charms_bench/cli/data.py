@@ -13,6 +13,7 @@ from charms_bench.cli.terminal import (
     FigurePath,
     Json,
     Recordings,
+    RoadLabel,
     RunPath,
     SuiteFolder,
     TrafficLabel,
@@ -271,6 +272,7 @@ def dataset(
         "vehicles in highD's format. parquet: their states at every simulation step.",
     ),
     ego: EgoLabel = None,
+    road: RoadLabel = None,
     traffic: TrafficLabel = None,
     episodes: int | None = typer.Option(
         None, min=1, help="Number of episodes, from the first; the default is all."
@@ -284,7 +286,7 @@ def dataset(
     """Write the episodes of a run as a dataset for other tools."""
     opened = charms_bench.open_run(run, suite_folder)
     with interruptible():
-        path = opened.dataset(kind, output, ego=ego, traffic=traffic, episodes=episodes)
+        path = opened.dataset(kind, output, ego=ego, traffic=traffic, road=road, episodes=episodes)
     written = episodes or opened.suite.episodes
     if as_json:
         end_with_json({"format": kind, "episodes": written, "folder": str(path)})

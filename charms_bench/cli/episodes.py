@@ -15,6 +15,7 @@ from charms_bench.cli.terminal import (
     EgoAgents,
     EgoLabel,
     Json,
+    RoadLabel,
     RunPath,
     SuiteFolder,
     TrafficLabel,
@@ -98,6 +99,7 @@ def edge_cases(
         help="List only this kind. In an abandoned lane change, another vehicle takes the gap.",
     ),
     ego: EgoLabel = None,
+    road: RoadLabel = None,
     traffic: TrafficLabel = None,
     avoidable: bool = typer.Option(
         False,
@@ -115,7 +117,7 @@ def edge_cases(
     opened = charms_bench.open_run(run, suite_folder)
     if avoidable and kind not in (None, "collision"):
         raise InputError(f"--avoidable is about collisions, not --kind {kind}")
-    cases = opened.edge_cases(top, "collision" if avoidable else kind, ego, traffic)
+    cases = opened.edge_cases(top, "collision" if avoidable else kind, ego, traffic, road)
     if avoidable:
         _print_avoidability(opened, cases, budget, as_json)
         return
@@ -125,7 +127,8 @@ def edge_cases(
     if not found:
         say(f"No {kind} in {run}.")
         return
-    forms = {"ego": "", "traffic": "", "episode": ".0f", "criticality": ".2f", "what happened": ""}
+    forms = {"ego": "", **({"road": ""} if opened.suite.roads else {}), "traffic": ""}
+    forms |= {"episode": ".0f", "criticality": ".2f", "what happened": ""}
     if opened.suite.preventable_by:
         forms["preventable"] = ""
     records = [
@@ -143,14 +146,14 @@ def _print_avoidability(opened: "Run", cases: "list[EdgeCase]", budget: int, as_
     """Prints what could have been done about collisions of the egos."""
     from charms_bench.report.avoidability_table import avoidability_table, rescuers_table
 
-    egos: dict[tuple[str, str], list[int]] = {}
+    cells: dict[tuple[str, str, str | None], list[int]] = {}
     for case in cases:
         if case.ending != "off_road":
-            egos.setdefault((case.ego, case.traffic), []).append(case.episode)
+            cells.setdefault((case.ego, case.traffic, case.road), []).append(case.episode)
     found = [
         each
-        for (ego, around), episodes in egos.items()
-        for each in opened.avoidability(episodes, ego, around, budget)
+        for (ego, around, road), episodes in cells.items()
+        for each in opened.avoidability(episodes, ego, around, budget, road)
     ]
     if as_json:
         end_with_json([asdict(each) for each in found])
@@ -166,6 +169,7 @@ def replay(
     run: RunPath,
     episode: Episode,
     ego: EgoLabel = None,
+    road: RoadLabel = None,
     traffic: TrafficLabel = None,
     output: Path | None = typer.Option(
         None,
@@ -190,8 +194,8 @@ def replay(
         check_commonroad(commonroad)
         commonroad = absolute(commonroad)
     opened = charms_bench.open_run(run, suite_folder)
-    replayed = opened.replay(episode, ego, traffic)
-    driver, around = replayed.cell.ego.title, replayed.cell.traffic.title
+    replayed = opened.replay(episode, ego, traffic, road)
+    cell = replayed.cell
     name = f"{name_of(opened.suite, replayed.cell)}-{episode}.gif"
     animation = output or opened.path / "replays" / name
     # Beside a file of the user's choice, this name is no other file's.
@@ -207,10 +211,12 @@ def replay(
     if commonroad is not None:
         files["commonroad"] = str(commonroad)
     if as_json:
-        facts = {"ego": driver, "traffic": around, "episode": episode, "ending": replayed.ending}
+        facts: dict[str, Any] = {"ego": cell.ego.title}
+        facts |= {"road": cell.road.title if cell.road else None}
+        facts |= {"traffic": cell.traffic.title, "episode": episode, "ending": replayed.ending}
         facts |= {"duration_s": float(replayed.t_s[-1]), "what": what}
         end_with_json({**facts, **files})
-    say(f"{driver} in {around}, episode {episode}: {what}")
+    say(f"{cell.title}, episode {episode}: {what}")
     titles = {"animation": "Animation", "trajectories": "Trajectories", "commonroad": "CommonRoad"}
     for kind, file in files.items():
         say(f"{titles[kind]}: {shown(Path(file))}")
@@ -236,6 +242,7 @@ def what_if(
     ego: str | None = typer.Option(
         None, "--ego", help="Label of the recorded ego, as in the tables."
     ),
+    road: RoadLabel = None,
     traffic: TrafficLabel = None,
     output: Path | None = typer.Option(
         None, metavar="OUT.html", help="File of the page with the replay."
@@ -254,7 +261,7 @@ def what_if(
         check_page(output)
         output = absolute(output)
     opened = charms_bench.open_run(run, suite_folder)
-    found = opened.what_if(episode, at, other, vehicle, ego, traffic)
+    found = opened.what_if(episode, at, other, vehicle, ego, traffic, road)
     seat = "ego" if found.vehicle == found.recorded.ego else str(found.vehicle)
     cell = name_of(opened.suite, found.recorded.cell)
     name = f"{cell}-{episode}-{seat}-{name_of_agent(other)}-from-{at}.html"

@@ -231,9 +231,8 @@ def show(
         facts = {name: getattr(suite, name) for name in ("suite", "title", "episodes", "seed")}
         tables = {each.name: each.frame().to_dicts() for each in (table, *others)}
         end_with_json({**facts, "tables": tables})
-    cells = (
-        f"{len(suite.egos)} × {len(suite.traffics)} cells of {counted(suite.episodes, 'episode')}"
-    )
+    cells = f"{len(suite.egos)} × {len(suite.surroundings)} cells"
+    cells += f" of {counted(suite.episodes, 'episode')}"
     engine = f"seeds from {suite.seed:,}, engine {folder.manifest().get('engine')}"
     say(f"{suite.title or suite.suite}\n{cells}, {engine}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):

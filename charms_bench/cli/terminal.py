@@ -130,6 +130,7 @@ EgoLabel = Annotated[
 TrafficLabel = Annotated[
     str | None, typer.Option("--traffic", help="Select the traffic model with this label.")
 ]
+RoadLabel = Annotated[str | None, typer.Option("--road", help="Select the road with this label.")]
 EgoAgents = Annotated[
     list[str] | None,
     typer.Option(

@@ -40,6 +40,10 @@ class Engine(Protocol):
     """[B] what a road adds to the rows of episodes, by column; the straight road adds nothing."""
     goals: Bools
     """[B] whether the ego has reached the goal of its road; the straight road has none."""
+    has_goal: bool
+    """Whether the road has one."""
+    renewal_steps: int
+    """After so many simulation steps each, a road lets vehicles enter and leave; 0 if never."""
 
     @property
     def scene(self) -> Scene:
@@ -74,6 +78,12 @@ class Engine(Protocol):
 
         On a road, `saved` is what the method of that name returned. The neighbours and all other
         arrays that follow from positions and headings are found.
+        """
+
+    def renew(self, rows: Ints, agents: Ints) -> Vehicles:
+        """Lets vehicles leave the scenes `rows` (R,), and at most one enter each; returns those.
+
+        They are driven by the `agents` (R,), as indices.
         """
 
     def plan(self, row: int) -> Plan | None:

@@ -4,7 +4,7 @@ from functools import cached_property
 from typing import Any
 
 from charms_bench.world.plan import Plan
-from charms_bench.world.scene import Scene
+from charms_bench.world.scene import Ints, Scene, Vehicles
 
 
 class Shown:
@@ -14,6 +14,12 @@ class Shown:
     """
 
     scene: Scene
+    has_goal = False
+    renewal_steps = 0
+
+    def renew(self, rows: Ints, agents: Ints) -> Vehicles:
+        """None, since no road lets vehicles enter."""
+        return rows[:0], rows[:0]
 
     def plan(self, row: int) -> Plan | None:
         """None, since the road is straight."""

@@ -1,5 +1,6 @@
 """Which sources the vehicles of a scene come from."""
 
+from charms_bench.engine.crossing import Crossing
 from charms_bench.engine.open_road import Inflow
 from charms_bench.engine.playback import Recorded
 from charms_bench.engine.prescribed import Placed
@@ -19,4 +20,6 @@ def sources_of(episodes: RunningEpisodes) -> tuple[Source, ...]:
         return (Placed(episodes),)
     if settings.recording is not None:
         return (Recorded(episodes),)
+    if episodes.engine.renewal_steps:
+        return (Drawn(episodes), Crossing(episodes))
     return (Drawn(episodes), Inflow(episodes)) if settings.inflow else (Drawn(episodes),)

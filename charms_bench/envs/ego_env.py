@@ -28,6 +28,7 @@ from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import Mixture, Traffic
 from charms_bench.world.moments import scene_of
+from charms_bench.world.named_road import ENVIRONMENT, NamedRoad
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Observations, SceneSettings
@@ -57,7 +58,9 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         lateral: Whether actions change the lane, or steer.
         render_mode: `rgb_array` or `human`; see `render`.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
-            `scene`, with the same defaults.
+            `scene`, with the same defaults, also together as `scene={...}`; and `road`, one of
+            highway-env's by its name, or `{"name": ..., "configuration": {...}}`. There, the
+            traffic `environment` are the vehicles that the road has itself.
 
     Raises:
         InputError: The traffic is not installed, or the scene, the observation, the kind of
@@ -230,16 +233,25 @@ def surroundings(
         InputError: The traffic is not installed, or a key or a value is wrong; the message begins
             with the environment's name.
     """
-    plain = {k: each.item() if isinstance(each, np.generic) else each for k, each in scene.items()}
+    keys = {**scene.pop("scene", {}), **scene}
+    plain = {k: each.item() if isinstance(each, np.generic) else each for k, each in keys.items()}
+    road = plain.pop("road", None)
+    if isinstance(traffic, Mapping) and "road" in traffic:
+        instead = f"scene={{'road': {traffic['road']!r}}}, "
+        instead += f"traffic={traffic.get('drivers', ENVIRONMENT)!r}"
+        raise InputError(f"{environment}: traffic: a road is no traffic model; give {instead}")
     try:
         settings = scene_of(plain)
         if isinstance(traffic, Mapping) and {*traffic} & {*TrafficSpec.model_fields}:
             spec = TrafficSpec.model_validate(traffic)
             settings, traffic = settings.of_scenario(spec.scenario), spec.make()
-            if spec.road is not None:
-                from charms_bench.roads.settings import on_road  # slow to import
+        if road is not None:
+            from charms_bench.roads.settings import on_road  # slow to import
 
-                settings = on_road(settings, spec.road)
+            given = {"name": road} if isinstance(road, str) else road
+            settings = on_road(settings, NamedRoad.model_validate(given))
+        elif traffic == ENVIRONMENT:
+            raise InputError(f"{environment}: traffic: '{ENVIRONMENT}' needs scene={{'road': ...}}")
     except ValidationError as error:
         raise InputError(f"{environment}: {problem_in(error)}") from error
     return settings, *made_traffic(traffic)

@@ -30,7 +30,7 @@ def highway_reward(
         lanes: The road's number of lanes.
     """
     fast = clip((forward - SPEED_LOW_MPS) / (SPEED_HIGH_MPS - SPEED_LOW_MPS), 0.0, 1.0)
-    right = target_lane / (lanes - 1)
+    right = target_lane / max(lanes - 1, 1)
     raw = COLLISION * crashed + RIGHT_LANE * right + HIGH_SPEED * fast
     return 0.0 if off_road else (raw - COLLISION) / (HIGH_SPEED + RIGHT_LANE - COLLISION)
 

@@ -24,6 +24,7 @@ from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import AGENTS, make_agent, plugins
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.runs.cells import title_of
 from charms_bench.world.action_texts import described_actions
 from charms_bench.world.actions import Actions, MetaAction, meta_actions_of
 from charms_bench.world.scene import Bools, Ints, Observations, SceneSettings
@@ -80,9 +81,12 @@ class Avoidability:
     """The latest single meta-action that could have avoided it; None if there is none."""
     nodes: int
     """Decisions that the search simulated."""
+    road: str | None = None
+    """Title of the road; None for the straight road of the scene."""
 
     def __repr__(self) -> str:
-        where = f"{self.ego} in {self.traffic}, episode {self.episode}"
+        around = title_of([*filter(None, (self.road, self.traffic))])
+        where = f"{self.ego} in {around}, episode {self.episode}"
         last = "" if self.last_step is None else f", last avoidable at decision {self.last_step}"
         return f"<Avoidability of {where}, collision in decision {self.step}: {self.verdict}{last}>"
 
@@ -217,6 +221,7 @@ class _Chunk:
                     hit_by=tuple(name for name, does in own.items() if not does),
                     replacement=self._replacement(episode, overridden),
                     nodes=nodes,
+                    road=each.cell.road.title if each.cell.road else None,
                 )
             )
         return found

@@ -72,8 +72,8 @@ def write_dataset(
 def name_of(suite: Suite, cell: Cell) -> str:
     """Returns a name for files about a cell of a suite, which no other cell of it has."""
     egos = slugs(entry.title for entry in suite.egos)
-    traffics = slugs(entry.title for entry in suite.traffics)
-    names = distinct(f"{ego}-in-{traffic}" for ego, traffic in product(egos, traffics))
+    places = slugs(entry.title for entry in suite.surroundings)
+    names = distinct(f"{ego}-in-{place}" for ego, place in product(egos, places))
     return names[suite.cells.index(cell)]
 
 

@@ -10,6 +10,7 @@ from charms_bench.episodes.criticality import IS_OF_KIND, Kind, criticality
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, replay
 from charms_bench.episodes.what_happened import what_happened
+from charms_bench.runs.cells import title_of
 
 AT_ONCE = 20
 """Episodes simulated together; limits the memory that large scenes need."""
@@ -40,10 +41,17 @@ class EdgeCase:
     preventable: str | None = None
     """Whether the suite's reference drivers, which drive the same episode, avoid the collision:
     `yes`, `no` or `only by NAME`; None without reference drivers, and if there is none."""
+    road: str | None = None
+    """Title of the road; None for the straight road of the scene."""
 
     def __repr__(self) -> str:
-        where = f"{self.ego} in {self.traffic}, episode {self.episode}"
+        where = f"{self.ego} in {title_of(self.labels[1:])}, episode {self.episode}"
         return f"<EdgeCase {self.rank}: {where}, criticality {self.criticality:z.2f}: {self.what}>"
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Those of its cell in tables."""
+        return tuple(filter(None, (self.ego, self.road, self.traffic)))
 
 
 def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> list[EdgeCase]:
@@ -67,6 +75,7 @@ def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> li
             replayed.cell.ego.title,
             replayed.cell.traffic.title,
             what=what_happened(replayed, kind),
+            road=replayed.cell.road.title if replayed.cell.road else None,
             **row,
         )
         for rank, (row, replayed) in enumerate(_replays(cells, measured.head(top)), start=1)

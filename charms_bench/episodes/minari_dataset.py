@@ -125,7 +125,7 @@ def environment_of(cell: Cell, policy: Policy) -> EnvSpec | None:
     with options, a network given by path, or an observation of a plugin.
     """
     traffic, observation = cell.traffic.traffic, observation_of(policy.observation)
-    is_plain = not (traffic.options or traffic.scenario or traffic.road)
+    is_plain = not (traffic.options or traffic.scenario or cell.road)
     is_plain &= not any(map(is_network, (traffic.name or "", *traffic.mixture)))
     if not is_plain or not isinstance(observation, Neighbours | Kinematics):
         return None

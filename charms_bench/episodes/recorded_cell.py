@@ -179,11 +179,18 @@ class _WithGuests(Traffic):
 
 
 def find_cells(
-    run: FinishedRun, folder: Path, ego: str | None = None, traffic: str | None = None
+    run: FinishedRun,
+    folder: Path,
+    ego: str | None = None,
+    traffic: str | None = None,
+    road: str | None = None,
 ) -> list[RecordedCell]:
-    """Returns the cells whose ego and traffic have these titles; None is any."""
-    asked = (("ego", ego, run.suite.egos), ("traffic", traffic, run.suite.traffics))
-    for what, title, entries in asked:
+    """Returns the cells whose ego, traffic and road have these titles; None is any."""
+    suite = run.suite
+    asked = (("ego", ego, suite.egos), ("traffic", traffic, suite.traffics))
+    for what, title, entries in (*asked, ("road", road, suite.roads)):
+        if what == "road" and title is not None and not entries:
+            raise RunFolderError(f"{run.folder.path}: its suite has no `roads`; remove --road")
         titles = {entry.title: entry for entry in entries}
         if title is not None and title not in titles:
             known = suggestion(title, titles)
@@ -191,7 +198,9 @@ def find_cells(
     return [
         RecordedCell(run, index, folder)
         for index, cell in enumerate(run.suite.cells)
-        if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title)
+        if ego in (None, cell.ego.title)
+        and traffic in (None, cell.traffic.title)
+        and (road is None or (cell.road is not None and cell.road.title == road))
     ]
 
 
@@ -200,10 +209,12 @@ def find_cell(
     folder: Path,
     ego: str | None,
     traffic: str | None,
-    how: str = "--ego and --traffic",
+    road: str | None,
+    how: str = "",
 ) -> RecordedCell:
     """Returns the only one of `find_cells`, or raises an `InputError` that says `how` to choose."""
-    cells = find_cells(run, folder, ego, traffic)
+    cells = find_cells(run, folder, ego, traffic, road)
+    how = how or ("--ego, --road and --traffic" if run.suite.roads else "--ego and --traffic")
     if len(cells) > 1:
         titles = "; ".join(each.cell.title for each in cells)
         first, last = run.suite.seed, run.suite.seed + run.suite.episodes - 1

@@ -10,8 +10,8 @@ from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
 from charms_bench.metrics.metric import Metric, MetricSet, per_episode
 
 REACHED = ENDING == "goal"
-HAS_GOAL = pl.first("traffic_vehicles").is_null()
-"""A straight road, on which the traffic is counted, has no goal."""
+IS_JUDGED = pl.first("traffic_vehicles").is_null()
+"""On the straight road, on which the traffic is counted, the rule always decides."""
 
 
 def _of_entry(column: str, name: str, unit: str, description: str, rests_on: str) -> Metric:
@@ -28,8 +28,8 @@ ROADS = MetricSet(
             "goal_reached",
             "",
             REACHED,
-            "proportion of episodes in which the ego reaches the goal of its road",
-            counts=HAS_GOAL,
+            "proportion of episodes in which the ego reaches the goal of its road, if it has one",
+            counts=pl.first("has_goal").fill_null(value=False),
             interval="wilson",
         ),
         per_episode(
@@ -46,7 +46,7 @@ ROADS = MetricSet(
             AT_FAULT.is_null(),
             "proportion of the ego's crashes in which nobody is found to be at fault or not",
             rests_on="crashes",
-            counts=ENDED_BADLY & HAS_GOAL,
+            counts=ENDED_BADLY & IS_JUDGED,
             interval="wilson",
         ),
         _of_entry(

@@ -27,6 +27,8 @@ from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.event import Event
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.traffic import OneAgent, Traffic
+from charms_bench.world.named_road import ENVIRONMENT
+from charms_bench.world.scenario import PRESCRIBED
 
 T = TypeVar("T")
 AGENTS = "charms_bench.agents"
@@ -165,7 +167,12 @@ def others_of(planner: Policy) -> Agent:
 
 
 def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic:
-    """The traffic of that name; an agent's name is the traffic in which it drives all vehicles."""
+    """The traffic of that name; an agent's name is the traffic in which it drives all vehicles.
+
+    `environment` is the traffic of the vehicles that a road of highway-env has itself.
+    """
+    if name == ENVIRONMENT and not options:
+        return OneAgent(PRESCRIBED)
     installed, agents = plugins(TRAFFIC), plugins(AGENTS)
     if name in installed:
         plugin, agent = _unrivalled(installed[name]), agents.get(name)

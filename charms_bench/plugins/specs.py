@@ -7,11 +7,12 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, model_validator
 
-from charms_bench.foundation.fields import UNLESS_EMPTY, FrozenModel, Line, Name
+from charms_bench.foundation.fields import FrozenModel, Line
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import is_network, make_agent, make_traffic
-from charms_bench.plugins.traffic import Mixture, OneAgent, Placed, Traffic
+from charms_bench.plugins.traffic import Mixture, Placed, Traffic
+from charms_bench.world.named_road import ENVIRONMENT
 from charms_bench.world.scenario import PRESCRIBED, Scenario
 
 
@@ -84,34 +85,33 @@ class AgentSpec(_Spec):
 
 
 class TrafficSpec(_Spec):
-    """A traffic model or an agent by its name, a mixture of agents, a scenario, or a road."""
+    """A traffic model or an agent by its name, a mixture of agents, or a scenario."""
 
     mixture: dict[AgentName, Annotated[float, Field(ge=0, le=1)]] = Field(default={})
     """The probability of each agent; each vehicle draws one. They sum to 1."""
     scenario: Scenario | None = None
     """Vehicles that are placed and prescribed, instead of a traffic model."""
-    road: Annotated[Name | None, UNLESS_EMPTY] = None
-    """highway-env's name of an environment, such as `merge-v0`: its road and its vehicles."""
-    drivers: Annotated["TrafficSpec | None", UNLESS_EMPTY] = None
-    """On a road, what drives these vehicles: a traffic model, an agent or a mixture. By default,
-    they drive as in the environment."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_road(cls, value: object) -> object:
+        if isinstance(value, dict) and "road" in value:
+            raise ValueError("a road is no traffic model; a suite has `roads`")
+        return value
 
     @model_validator(mode="after")
-    def _one_of_four(self) -> "TrafficSpec":
-        given = self.name, self.mixture or None, self.scenario, self.road
+    def _one_of_three(self) -> "TrafficSpec":
+        given = self.name, self.mixture or None, self.scenario
         if sum(each is not None for each in given) != 1:
             raise ValueError(
-                "give a name, probabilities as {mixture: {agent: probability}}, a scenario, or a "
-                "road"
+                "give a name, probabilities as {mixture: {agent: probability}}, or a scenario"
             )
-        if self.drivers is not None:
-            if self.road is None:
-                raise ValueError("drivers: are those of the vehicles of a road; give a road")
-            if self.drivers.road is not None or self.drivers.scenario is not None:
-                raise ValueError("drivers: expected a traffic model, an agent or a mixture")
-        if self.road is not None and self.options:
-            raise ValueError("options: are those of a traffic model; a road has none")
         return self
+
+    @property
+    def is_environment(self) -> bool:
+        """Whether these are the vehicles that a road of highway-env has itself."""
+        return self.name == ENVIRONMENT
 
     def make(self) -> Traffic:
         """The traffic."""
@@ -119,8 +119,6 @@ class TrafficSpec(_Spec):
             return make_traffic(self.name, self.options)
         if self.scenario is not None:
             return Placed(self.scenario.agents)
-        if self.road is not None:
-            return OneAgent(PRESCRIBED) if self.drivers is None else self.drivers.make()
         return Mixture(self.mixture)
 
 

@@ -100,6 +100,10 @@ EPISODE: Mapping[str, Column] = {
         F64,
         "s",
     ),
+    "has_goal": Column(
+        "Whether the ego should get somewhere; null on the straight road, where it should not.",
+        BOOL,
+    ),
     "at_fault_on_road": Column(
         "The same on one of highway-env's roads, where vehicles merge, cross and meet "
         "(`roads.fault`); null if it is undecided.",
@@ -127,13 +131,14 @@ EPISODE: Mapping[str, Column] = {
         "s",
     ),
 }
-"""One row per episode. On the straight road, files do not have the columns `entry_*` and
-`at_fault_on_road`, and where nobody comes or goes, no `traffic_time_s`."""
+"""One row per episode. Only files of highway-env's roads have the columns `has_goal`,
+`at_fault_on_road` and `entry_*`, and where nobody comes or goes, none has `traffic_time_s`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
 ON_ROAD = "at_fault_on_road"
 OF_ROADS = (ON_ROAD, *(name for name in EPISODE if name.startswith("entry_")))
 TIME_OF_TRAFFIC = "traffic_time_s"
-OPTIONAL = (TIME_OF_TRAFFIC, *OF_ROADS)
+HAS_GOAL = "has_goal"
+OPTIONAL = (TIME_OF_TRAFFIC, HAS_GOAL, *OF_ROADS)
 """The columns that not all files have."""
 
 COUNT: Mapping[str, Column] = {

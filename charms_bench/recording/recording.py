@@ -12,6 +12,7 @@ from charms_bench.engine.endings import ENDINGS, OFF_ROAD, REAR_END
 from charms_bench.engine.simulation import Simulation
 from charms_bench.recording.columns import (
     EPISODE_SCHEMA,
+    HAS_GOAL,
     OF_TRAFFIC,
     ON_ROAD,
     OPTIONAL,
@@ -123,6 +124,7 @@ class Recording:
         if self._on_network:
             measures = simulation.engine.measures.items()
             columns |= dict.fromkeys(("at_fault", *OF_TRAFFIC))
+            columns[HAS_GOAL] = np.full(simulation.seeds.size, simulation.engine.has_goal)
             columns |= {name: pl.Series(values).fill_nan(None) for name, values in measures}
             has_left = pl.Series(simulation.ending == OFF_ROAD)
             columns[ON_ROAD] = (columns[ON_ROAD] > 0) | has_left

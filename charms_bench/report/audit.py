@@ -45,7 +45,7 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
         except CharmsBenchError as error:
             yield Finding("tables", f"tables/{suite.suite}-realism.csv", "unknown", str(error))
         try:
-            sets = _stored_sets(folder / "tables" / f"{suite.suite}.csv")
+            sets = _stored_sets(folder / "tables" / f"{suite.suite}.csv", suite)
         except RegistryError as error:  # metrics of a plugin that is not installed
             unknown = {f"{suite.suite}.csv", f"{suite.suite}.md"}
             yield Finding("tables", f"tables/{suite.suite}.csv", "unknown", str(error))
@@ -109,7 +109,8 @@ def _has_other_value(found: bytes, expected: bytes) -> bool:
     both = _both_tables(found, expected)
     if both is None or "metric_set" not in both[0].columns:
         return False
-    keys = ("agent", "traffic", "metric_set", "metric")
+    every = ("agent", "road", "traffic", "metric_set", "metric")
+    keys = [key for key in every if key in both[0].columns]
     stored, again = (table.select(*keys, "value") for table in both)
     pairs = again.join(stored, on=keys, nulls_equal=True).select("value", "value_right").rows()
     return any(one != other and not _is_rounded(one, other) for one, other in pairs)
@@ -122,9 +123,10 @@ def _is_rounded(one: str | None, other: str | None) -> bool:
         return False
 
 
-def _stored_sets(path: Path) -> Sequence[MetricSet]:
+def _stored_sets(path: Path, suite: Suite) -> Sequence[MetricSet]:
     """The metric sets that a table was computed with, which `rescore` may have chosen."""
-    labels = read_table(path, long_schema(KEYS, LONG))["metric_set"].unique(maintain_order=True)
+    table = read_table(path, long_schema(suite.with_road(KEYS), LONG))
+    labels = table["metric_set"].unique(maintain_order=True)
     texts = []
     for label in labels:
         text = asked_by(label or "")

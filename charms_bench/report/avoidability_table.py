@@ -30,11 +30,12 @@ COLUMNS = (
 
 def avoidability_table(found: Sequence[Avoidability], settings: SceneSettings) -> Table:
     """The table, with counts of the verdicts in its note."""
+    road = ("road",) if any(each.road for each in found) else ()
     return Table.from_records(
         [_record(each, settings) for each in found],
         "avoidability",
         "Which collisions could have been avoided",
-        ("agent", "traffic", "episode"),
+        ("agent", *road, "traffic", "episode"),
         COLUMNS,
         note=in_words(found),
     )
@@ -80,6 +81,7 @@ def in_words(found: Sequence[Avoidability]) -> str:
 def _record(each: Avoidability, settings: SceneSettings) -> dict[str, object]:
     record: dict[str, object] = {
         "agent": each.ego,
+        "road": each.road,
         "traffic": each.traffic,
         "episode": each.episode,
         "collided_s": each.collided_s,

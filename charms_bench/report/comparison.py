@@ -12,12 +12,14 @@ from charms_bench.metrics.labels import set_label_of
 from charms_bench.report.definitions import installed_column
 from charms_bench.report.number import Number
 from charms_bench.report.table import Column, Row, Table
+from charms_bench.runs.cells import title_of
 from charms_bench.runs.pairing import Pair
 from charms_bench.statistics.intervals import CONFIDENCE, resample
 from charms_bench.statistics.paired import differences, holm
 from charms_bench.world.scene import SceneSettings
 
 KEYS = ("first", "second", "traffic", "metric_set", "metric")
+WITH_ROAD = ("first", "second", "road", "traffic", "metric_set", "metric")
 COLUMNS = (
     Column("first_value", definition="value of the first agent", form=".4g"),
     Column("second_value", definition="value of the second agent", form=".4g"),
@@ -63,17 +65,18 @@ def compare(
             raise InputError(f"no metric named '{name}'. {suggestion(name, known)}")
     chosen = [(label, metric) for label, metric in every if not only or metric.name in only]
     metrics = [metric for _, metric in chosen]
+    keys = WITH_ROAD if pairs[0][0].road else KEYS
     records: list[dict[str, Any]] = []
     for pair in pairs:
         first, second = (cell.sums(metrics, settings) for cell in pair)
         weights = resample(np.random.default_rng(seed), pair[0].size)
         found = differences(metrics, first, second, weights)
         for (label, metric), ours, theirs, each in zip(chosen, first, second, found, strict=True):
-            labels = (pair[0].agent, pair[1].agent, pair[0].traffic, label, metric.name)
+            labels = (pair[0].agent, pair[1].agent, *pair[0].labels[1:], label, metric.name)
             value, low, high = map(defined, (each.value, each.low, each.high))
             records.append(
                 {
-                    **dict(zip(KEYS, labels, strict=True)),
+                    **dict(zip(keys, labels, strict=True)),
                     "first_value": defined(float(metric.value(ours.sum(axis=0)))),
                     "second_value": defined(float(metric.value(theirs.sum(axis=0)))),
                     "difference": Number(value, low, high, len(ours)),
@@ -93,7 +96,7 @@ def compare(
         f"{COLUMNS[4].definition}. Episodes: {episodes}."
     )
     title = "First agent minus second"
-    return Table.from_records(records, "comparison", title, KEYS, COLUMNS, note)
+    return Table.from_records(records, "comparison", title, keys, COLUMNS, note)
 
 
 def defined(value: float) -> float | None:
@@ -115,12 +118,12 @@ def by_pair(table: Table, metrics: Collection[str] | None = None) -> list[Table]
     found = [
         replace(
             shown.named(first, second, "difference", "p", "detectable"),
-            title=f"{first} minus {second}, in {traffic}: {set_label_of(metric_set)}",
+            title=f"{first} minus {second}, in {title_of(place)}: {set_label_of(metric_set)}",
             keys=KEYS[-1:],
             rows=tuple(rows),
             note="",
         )
-        for (first, second, traffic, metric_set), rows in groups.items()
+        for (first, second, *place, metric_set), rows in groups.items()
     ]
     return [*found[:-1], *(replace(each, note=table.note) for each in found[-1:])]
 

@@ -32,15 +32,14 @@ def part_of(suite: Suite, cell: CellRows) -> pl.DataFrame:
     The suite's seed is that of the resamples.
     """
     sums = _sums(cell)
-    roads = [each.title for each in suite.traffics if each.traffic.road is not None]
     every = [each for of_driver in sums.values() for each in of_driver]
     estimates = estimate(OF_DRIVERS * len(sums), every, suite.seed)
     records = [
-        (cell.agent, cell.traffic, driver, metric.name, *astuple(found))
+        (*cell.labels, driver, metric.name, *astuple(found))
         for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True)
-        if metric.name != "crashed_at_fault" or cell.traffic not in roads  # `recording.recording`
+        if metric.name != "crashed_at_fault" or not cell.road  # `recording.recording`
     ]
-    return long_frame(records, KEYS, LONG)
+    return long_frame(records, suite.with_road(KEYS), LONG)
 
 
 def _sums(cell: CellRows) -> dict[str, list[Floats]]:
@@ -71,7 +70,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         frame,
         f"{suite.suite}-drivers",
         "What each driver does to others, and others to it",
-        KEYS,
+        suite.with_road(KEYS),
         LONG,
         column,
         note="Sums over all vehicles of a driver, until each collides or leaves the road. The "

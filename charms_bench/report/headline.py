@@ -2,9 +2,9 @@
 
 What the suite declares decides which one it is. Human driving to compare with: the distances from
 it. A reference driver: who crashes, which of these collisions are preventable, and how hard the
-egos brake. Pairs: in how many metrics each two egos differ. Several egos in several traffic models:
-the matrix of the suite's first metric that has one. In every other suite, it is the table of the
-suite's first columns.
+egos brake. Pairs, but not on several roads: in how many metrics each two egos differ. Several egos
+on several roads or in several traffic models: the matrix of the suite's first metric that has one.
+In every other suite, it is the table of the suite's first columns.
 """
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ def headline(suite: Suite, tables: RunTables) -> Table:
         found = _realism(tables.realism)
     elif tables.preventable is not None:
         return tables.preventable.without_constant_keys()
-    elif tables.pairs is not None:
+    elif tables.pairs is not None and len(suite.roads) < 2:
         found = pair_matrix(tables.pairs)
     else:
         start = f"{suite.suite}-"
@@ -41,8 +41,8 @@ def headline(suite: Suite, tables: RunTables) -> Table:
 
 def pair_matrix(pairs: Table) -> Table:
     """In how many metrics each two egos differ, from the table of pairs; egos have numbers."""
-    names = list(dict.fromkeys(chain.from_iterable(row.labels for row in pairs.rows)))
-    apart = {row.labels: sum(number.marked for number in row.numbers) for row in pairs.rows}
+    names = list(dict.fromkeys(chain.from_iterable(row.labels[:2] for row in pairs.rows)))
+    apart = {row.labels[:2]: sum(number.marked for number in row.numbers) for row in pairs.rows}
     rows = [
         Row(
             (f"{k} {one}",),

@@ -4,7 +4,7 @@ All egos drive the same episodes, so differences are paired (`statistics.paired`
 corrected over all pairs and metrics (Holm 1979).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -36,20 +36,24 @@ FOLDS = 10
 
 
 def pairs_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
-    """Each pair of egos by each metric of `COMPARED`: first minus second, with 95 % intervals."""
+    """Each pair of egos by each metric of `COMPARED`: first minus second, with 95 % intervals.
+
+    With roads, these are the pairs on each road.
+    """
     from charms_bench.statistics import paired  # imports scipy.stats, which takes half a second
 
     metrics = _metrics(suite, COMPARED)
     sums = [cell.sums(metrics, suite.scene) for cell in cells]
     weights = resample(np.random.default_rng(suite.seed), cells[0].size)
-    pairs = list(combinations(range(len(cells)), 2))
+    every = combinations(range(len(cells)), 2)
+    pairs = [(i, j) for i, j in every if cells[i].road == cells[j].road]
     found = [paired.differences(metrics, sums[i], sums[j], weights) for i, j in pairs]
     records = [
-        (cells[i].agent, cells[j].agent, metric.name, each.value, each.low, each.high, each.p)
+        (*_labels(cells[i], cells[j]), metric.name, each.value, each.low, each.high, each.p)
         for (i, j), differences in zip(pairs, found, strict=True)
         for metric, each in zip(metrics, differences, strict=True)
     ]
-    schema = long_schema(KEYS, LONG)
+    schema = long_schema(suite.with_road(KEYS), LONG)
     p = paired.holm(np.array([record[-1] for record in records]))
     frame = pl.DataFrame(records, schema=list(schema)[:-1], orient="row").with_columns(
         pl.col("difference", "low", "high").fill_nan(None),
@@ -57,6 +61,10 @@ def pairs_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
         separated=pl.Series(p < 1 - CONFIDENCE),
     )
     return from_frame(frame, suite)
+
+
+def _labels(first: CellRows, second: CellRows) -> Iterable[str]:
+    return filter(None, (first.agent, second.agent, first.road))
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
@@ -77,7 +85,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         frame,
         f"{suite.suite}-pairs",
         "Pairs of egos",
-        KEYS,
+        suite.with_road(KEYS),
         LONG,
         column,
         note="First minus second. Marked numbers are separated from 0: p < 0.05, corrected over "
@@ -108,9 +116,9 @@ def guessed(suite: Suite, cells: Sequence[CellRows]) -> tuple[int, int]:
 def guess_summary(suite: Suite, cells: Sequence[CellRows]) -> str:
     """How often the ego is guessed right from one episode, beside the accuracy of chance.
 
-    Empty if there are no other episodes to guess from.
+    Empty if there are no other episodes to guess from, and if there are several roads.
     """
-    if cells[0].size < 2:
+    if cells[0].size < 2 or len(suite.roads) > 1:
         return ""
     right, asked = guessed(suite, cells)
     low, high = wilson(right, asked)

@@ -47,17 +47,17 @@ Kinds = dict[str, NDArray[np.bool_]]
 """The episodes (E,) with each kind of collision, by the kind's name."""
 
 
-def kinds_of(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, str], Kinds]:
-    """Returns the episodes with each kind of collision, by ego and traffic.
+def kinds_of(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, ...], Kinds]:
+    """Returns the episodes with each kind of collision, by the labels of the cell.
 
     Cells whose reference drivers are not among the cells are left out. Every collision is of one
     kind: `preventable` if all reference drivers avoid it, `not_preventable` if none does, and
     otherwise `ONLY` and the name of the one that does.
     """
-    has_crashed = {(cell.agent, cell.traffic): crashed(cell) for cell in cells}
+    has_crashed = {cell.labels: crashed(cell) for cell in cells}
     found = {}
-    for (agent, traffic), mine in has_crashed.items():
-        references = [(name, traffic) for name in suite.preventable_by]
+    for labels, mine in has_crashed.items():
+        references = [(name, *labels[1:]) for name in suite.preventable_by]
         if not has_crashed.keys() >= {*references}:
             continue
         avoided = ~np.array([has_crashed[reference] for reference in references])
@@ -65,16 +65,16 @@ def kinds_of(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, str], K
         if len(avoided) > 1:
             for name, each in zip(suite.preventable_by, avoided, strict=True):
                 kinds[ONLY + name] = mine & each & (avoided.sum(axis=0) == 1)
-        found[agent, traffic] = {**kinds, "not_preventable": mine & ~avoided.any(axis=0)}
+        found[labels] = {**kinds, "not_preventable": mine & ~avoided.any(axis=0)}
     return found
 
 
-def verdicts(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, str, int], str]:
-    """Whether each collision is preventable, by ego, traffic and episode: `yes`, `no` or by whom.
+def verdicts(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str | int, ...], str]:
+    """Whether each collision is preventable, by the labels of its cell and its episode.
 
-    The cells are as in `kinds_of`.
+    It is `yes`, `no` or by whom. The cells are as in `kinds_of`.
     """
-    seeds = {(each.agent, each.traffic): each.episodes["episode"].sort() for each in cells}
+    seeds = {each.labels: each.episodes["episode"].sort() for each in cells}
     words = {"preventable": "yes", "not_preventable": "no"}
     return {
         (*cell, seed): words.get(name, name.removeprefix("preventable "))
@@ -87,7 +87,7 @@ def verdicts(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, str, in
 def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """The proportions of preventable and other collisions of every cell, with 95 % intervals."""
     records: list[tuple[object, ...]] = []
-    by_cell = {(cell.agent, cell.traffic): cell for cell in cells}
+    by_cell = {cell.labels: cell for cell in cells}
     for labels, kinds in kinds_of(suite, cells).items():
         cell = by_cell[labels]
         shares: list[tuple[object, ...]] = []
@@ -99,7 +99,8 @@ def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
         left = (left_out.NAME, cell.left_out / every, None, None, every)
         numbers = (*shares[:2], braking, *shares[2:], left)
         records += [(*labels, *each) for each in numbers]
-    return from_frame(pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row"), suite)
+    schema = long_schema(suite.with_road(KEYS), LONG)
+    return from_frame(pl.DataFrame(records, schema=schema, orient="row"), suite)
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
@@ -133,7 +134,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         frame,
         f"{suite.suite}-preventable",
         "Preventable collisions",
-        KEYS,
+        suite.with_road(KEYS),
         LONG,
         column,
         note=f"A collision is preventable if {references} {'avoid' if several else 'avoids'} it in "

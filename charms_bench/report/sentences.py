@@ -12,7 +12,7 @@ from charms_bench.report.number import Number
 from charms_bench.report.preventable_table import crashed
 from charms_bench.report.realism_table import FLOOR, WITHIN_LIMITS
 from charms_bench.report.table import Table
-from charms_bench.runs.cells import CellRows
+from charms_bench.runs.cells import CellRows, title_of
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import CONFIDENCE
 
@@ -21,6 +21,7 @@ INTERVAL = "95\N{NO-BREAK SPACE}% interval"
 NAMED = 3
 """Agents or traffic models that a sentence names at most."""
 Cells = Mapping[tuple[str, str], CellRows]
+"""By the labels of the ego and of its surroundings."""
 Rates = list[tuple[str, Number]]
 """Labels with their proportions of crashed episodes, the smallest first."""
 
@@ -37,12 +38,14 @@ def finding(
     places = metrics.places(CRASHED)
     if places is None:
         return ""
-    rates = {row.labels[:2]: row.numbers[places[0]] for row in metrics.rows}
+    rates = {
+        (row.labels[0], title_of(row.labels[1:])): row.numbers[places[0]] for row in metrics.rows
+    }
     if any(number.value is None for number in rates.values()):
         return ""
     if len(suite.egos) > 1:
-        by_label = {(cell.agent, cell.traffic): cell for cell in cells()}
-        if len(suite.traffics) > 1:
+        by_label = {(cell.agent, cell.surroundings): cell for cell in cells()}
+        if len(suite.surroundings) > 1:
             return _of_matrix(suite, rates, by_label)
         return _of_egos(suite, rates, by_label) + _speeds(metrics)
     ego = suite.egos[0].title
@@ -52,14 +55,14 @@ def finding(
     )
 
 
-def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells) -> str:
+def _of_egos(suite: Suite, rates: Mapping[tuple[str, str], Number], cells: Cells) -> str:
     found = _sorted((ego, number) for (ego, _), number in rates.items())
     number = found[0][1]
     tied = [name for name, each in found if each.value == number.value]
     if len(tied) == len(found):
         return f"All {len(found)} agents crashed equally often: {_rate(number)} each."
     following = found[len(tied)]
-    traffic = suite.traffics[0].title
+    traffic = suite.surroundings[0].title
     # Of agents that share the lowest rate, the one that is hardest to separate from the next.
     tests = [_paired(cells[following[0], traffic], cells[name, traffic]) for name in tied]
     value, low, high, p = max(tests, key=lambda test: test[-1])
@@ -78,10 +81,10 @@ def _verdict(p: float) -> str:
     return f"{'separates' if p < 1 - CONFIDENCE else 'does not separate'} them ({said}"
 
 
-def _of_matrix(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells) -> str:
+def _of_matrix(suite: Suite, rates: Mapping[tuple[str, str], Number], cells: Cells) -> str:
     wins: dict[str, list[str]] = {}
     apart = tied = 0
-    for entry in suite.traffics:
+    for entry in suite.surroundings:
         found = _sorted((ego, each) for (ego, name), each in rates.items() if name == entry.title)
         (best, number), (second, following) = found[:2]
         if number.value == following.value:
@@ -90,7 +93,7 @@ def _of_matrix(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cel
         wins.setdefault(best, []).append(entry.title)
         *_, p = _paired(cells[second, entry.title], cells[best, entry.title])
         apart += p * _pairs(suite) < 1 - CONFIDENCE
-    count, places = len(suite.traffics), f"{place(suite)}s"
+    count, places = len(suite.surroundings), f"{place(suite)}s"
     ranked = sorted(wins.items(), key=lambda each: -len(each[1]))
     sentences = [f"{ego} crashed least in {_listed(where)}" for ego, where in ranked[:NAMED]]
     more = sum(len(where) for _, where in ranked[NAMED:])
@@ -176,12 +179,14 @@ def _paired(first: CellRows, second: CellRows) -> tuple[float, float, float, flo
 
 
 def _pairs(suite: Suite) -> int:
-    """How many pairs of egos in the same traffic there are."""
-    return len(suite.traffics) * len(suite.egos) * (len(suite.egos) - 1) // 2
+    """How many pairs of egos in the same surroundings there are."""
+    return len(suite.surroundings) * len(suite.egos) * (len(suite.egos) - 1) // 2
 
 
 def place(suite: Suite) -> str:
-    """What the traffics of a suite are."""
+    """What the surroundings of a suite are."""
+    if suite.roads:
+        return "road" if len(suite.traffics) == 1 else "road and traffic model"
     of_scenarios = all(entry.traffic.scenario for entry in suite.traffics)
     return "scenario" if of_scenarios else "traffic model"
 

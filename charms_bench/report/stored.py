@@ -75,10 +75,11 @@ def stored_tables(folder: Path, suite: Suite) -> RunTables:
         ("-drivers", drivers_table, True),
     )
     metrics, realism, pairs, preventable, drivers = (
-        kind.from_frame(read_table(path, long_schema(kind.KEYS, kind.LONG)), suite)
+        kind.from_frame(read_table(path, long_schema(keys, kind.LONG)), suite)
         if (path := Path(f"{start}{ending}.csv")).exists() and is_asked
         else None
         for ending, kind, is_asked in kinds
+        for keys in [kind.KEYS if kind is realism_table else suite.with_road(kind.KEYS)]
     )
     if metrics is None:
         raise RunFolderError(

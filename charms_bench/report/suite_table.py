@@ -10,7 +10,7 @@ from charms_bench.report import left_out
 from charms_bench.report.definitions import columns_of, installed_column
 from charms_bench.report.number import Number
 from charms_bench.report.table import ESTIMATE, Row, Table, long_frame
-from charms_bench.runs.cells import CellRows
+from charms_bench.runs.cells import CellRows, title_of
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import estimate
 
@@ -48,10 +48,10 @@ def part_of(suite: Suite, cell: CellRows, metric_sets: Sequence[MetricSet]) -> p
     estimates = estimate(metrics, cell.sums(metrics, suite.scene), suite.seed)
     paper = {(PAPER.label, name): value for name, value in cell.paper.items()}
     records = [
-        (cell.agent, cell.traffic, label, each.name, *astuple(found), paper.get((label, each.name)))
+        (*cell.labels, label, each.name, *astuple(found), paper.get((label, each.name)))
         for label, each, found in zip(labels, metrics, estimates, strict=True)
     ]
-    return long_frame(records, KEYS, LONG)
+    return long_frame(records, suite.with_road(KEYS), LONG)
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSet] = ()) -> Table:
@@ -65,7 +65,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
         frame,
         suite.suite,
         suite.title or suite.suite,
-        KEYS,
+        suite.with_road(KEYS),
         LONG,
         (lambda *names: columns[names]) if columns else installed_column,
         note=" ".join(filter(None, (suite.note, left_out.said_of(frame, "metric")))),
@@ -102,14 +102,16 @@ def one_per_metric(table: Table) -> Table:
 def matrices(table: Table) -> list[Table]:
     """A table of egos down and traffics across for each of `MATRICES` that was computed.
 
-    None for a suite of one ego or one traffic, which the table shows as well.
+    A column is a traffic, or a road with it. None for a suite of one ego or one traffic, which the
+    table shows as well.
     """
     places = {
         column.name: i
         for i, column in enumerate(table.columns)
         if column.group.startswith(("roads-", "standard-"))
     }
-    egos, traffics = (tuple(dict.fromkeys(row.labels[i] for row in table.rows)) for i in (0, 1))
+    egos = tuple(dict.fromkeys(row.labels[0] for row in table.rows))
+    traffics = {row.labels[1:]: title_of(row.labels[1:]) for row in table.rows}
     if len(egos) < 2 or len(traffics) < 2:
         return []
     found = []
@@ -117,12 +119,12 @@ def matrices(table: Table) -> list[Table]:
         if (place := places.get(metric)) is None:
             continue
         column = replace(table.columns[place], group="", unit="", form=",.1f")
-        columns = tuple(replace(column, name=each, label=each) for each in traffics)
+        columns = tuple(replace(column, name=each, label=each) for each in traffics.values())
         numbers = {row.labels: row.numbers[place].scaled(factor) for row in table.rows}
         rows = tuple(
-            Row((ego,), tuple(numbers.get((ego, traffic), Number()) for traffic in traffics))
+            Row((ego,), tuple(numbers.get((ego, *labels), Number()) for labels in traffics))
             for ego in egos
         )
         name = f"{table.name}-{metric}"
-        found.append(Table(name, title, ("ego \\ traffic",), columns, rows))
+        found.append(Table(name, title, (f"ego \\ {table.keys[1]}",), columns, rows))
     return found

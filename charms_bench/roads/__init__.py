@@ -46,7 +46,10 @@ TASKS = {
 }
 """The modules and classes of the environments by highway-env's names."""
 
-OF_SUITES = tuple(
-    name for name in TASKS if name.startswith(("merge", "exit", "u-turn", "roundabout"))
-)
-"""The environments on whose roads agents of the straight road drive the ego."""
+_NOT_OF_SUITES = ("parking", "lane-keeping", "intersection-multi-agent")
+OF_SUITES = tuple(name for name in TASKS if not name.startswith(_NOT_OF_SUITES))
+"""The environments on whose roads agents of the straight road drive the ego.
+
+There is no traffic in `parking` and `lane-keeping`, and `intersection-multi-agent` has several
+egos.
+"""

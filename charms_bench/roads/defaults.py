@@ -307,3 +307,11 @@ MOST_STEPS: Mapping[str, int] = MappingProxyType({"two-way-v0": 15, "lane-keepin
 """The decisions after which episodes are truncated, where they are [`max_episode_steps`]."""
 SPLIT = ("intersection-multi-agent-v1", "intersection-multi-agent-v2")
 """The environments in which each agent has its own reward and ending [`MultiAgentWrapper`]."""
+
+
+def duration_of(name: str) -> float | None:
+    """The time after which an episode of an environment is truncated, s; None if it never is."""
+    config = DEFAULTS.get(name, {})
+    if name in MOST_STEPS:
+        return float(MOST_STEPS[name] / config["policy_frequency"])
+    return float(config["duration"]) if "duration" in config else None

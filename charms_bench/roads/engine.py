@@ -32,11 +32,12 @@ from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.entries import Entries
-from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.locating import coordinates_of, forget
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.plan import plan_of
+from charms_bench.roads.right_of_way import enforce
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
@@ -50,7 +51,7 @@ from charms_bench.roads.scenes import (
     vehicle_of,
 )
 from charms_bench.roads.stepping import collide, move_all
-from charms_bench.roads.straightened import Ways, find_way, straighten
+from charms_bench.roads.straightened import BEHIND, Ways, find_way, straighten
 from charms_bench.world.actions import Actions, MetaAction, controls_of
 from charms_bench.world.gaps import gap_to, is_within, requires_braking
 from charms_bench.world.plan import Lines, Plan, lines_of
@@ -83,8 +84,8 @@ class RoadEngine(Shown):
         own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
     ) -> None:
         assert settings.network is not None
-        rates = {"simulation_frequency": settings.simulation_hz}
-        self.episodes = Episodes(settings.network, scenes, rates)
+        hz = settings.simulation_hz
+        self.episodes = episodes_of_agents(settings.network, scenes, hz)
         """The scenes on the network, of whose tables `state` is a view."""
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self._seen = Scene.empty(settings, scenes, parameters, memory)
@@ -96,6 +97,9 @@ class RoadEngine(Shown):
         """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
         self.goals: Bools = np.zeros(scenes, dtype=np.bool_)
         on_network, task = self.episodes.scenes, self.episodes.task
+        self.has_goal = task.has_goal
+        if task.comes_and_goes:
+            self.renewal_steps = round(hz / self.episodes.config["policy_frequency"])
         self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
         self._fault = Fault(scenes, on_network, task.ranks(on_network))
         self.measures: Mapping[str, Floats] = {
@@ -160,16 +164,42 @@ class RoadEngine(Shown):
         vehicles, kinds = episodes.scenes.vehicles, self._kinds
         vehicles["target_speed"][rows, 0] = vehicles["speed"][rows, 0]
         for b, i in zip(*np.nonzero(kinds[rows] != BY_ENVIRONMENT), strict=True):
-            each = rows[b], i
-            if kinds[each] == BY_CONTROLS:
-                vehicles["target_speed"][each] = 0.0
-            elif kinds[each] == BY_TARGETS and self._rule_of(each).speeds.size:
-                wanted = vehicles["target_speed"][each]
-                wanted = nearest_target_speed(wanted, 0, self._rule.speeds)
-                vehicles["target_speed"][each] = wanted
+            self._aim((rows[b], i))
         self._entries.start(rows, episodes.task.entering(episodes.scenes)[rows])
         self._fault.start(rows)
         self._show(rows)
+
+    def renew(self, rows: Ints, agents: Ints) -> Vehicles:
+        scenes, ways = self.episodes.scenes, self._ways
+        table = scenes.vehicles
+        x, y, was_there = table["x"][rows], table["y"][rows], self._present[rows]
+        self.episodes.task.follow(scenes, rows)
+        is_there = table["kind"][rows] > OBSTACLE
+        has_stayed = was_there & (table["x"][rows] == x) & (table["y"][rows] == y)
+        has_entered = is_there & ~has_stayed
+        some, places = np.nonzero(has_entered)
+        entered = rows[some], places
+        self.drivers[entered] = agents[some]
+        changed = rows[(is_there != was_there).any(axis=1) | has_entered.any(axis=1)]
+        self._seat(changed)
+        self._moved[changed] = True
+        gone, left = np.nonzero(was_there & ~is_there)
+        for b, i in zip(np.append(rows[gone], entered[0]), np.append(left, places), strict=True):
+            ways.lanes[b, i] = -1
+        for each in zip(*entered, strict=True):
+            self._aim(each)
+        self._fault.forget(scenes, entered)
+        return entered
+
+    def _aim(self, vehicle: tuple[Any, Any]) -> None:
+        """Gives a vehicle of an agent, which has just appeared, its first target speed."""
+        target_speed = self.episodes.scenes.vehicles["target_speed"]
+        kind = self._kinds[vehicle]
+        if kind == BY_CONTROLS:
+            target_speed[vehicle] = 0.0
+        elif kind == BY_TARGETS and self._rule_of(vehicle).speeds.size:
+            wanted = nearest_target_speed(target_speed[vehicle], 0, self._rule.speeds)
+            target_speed[vehicle] = wanted
 
     def _seat(self, rows: Ints) -> None:
         """Gives the vehicles of the scenes `rows` to their drivers."""
@@ -295,7 +325,9 @@ class RoadEngine(Shown):
         self._moved[rows] = True
         self._entries.note(self.episodes.scenes, rows)
         self._fault.note(self.episodes.scenes, rows)
-        self.goals[rows] = self.episodes.task.has_reached_goal(self.episodes.scenes)[rows]
+        if self.has_goal:
+            task, before = self.episodes.task, self._ways.lanes[:, 0, BEHIND - 1]
+            self.goals[rows] = task.has_reached_goal(self.episodes.scenes, before)[rows]
 
     def _drive(self, model: DriverModel, vehicles: Vehicles) -> None:
         """Has a driver model drive M vehicles: all of them egos, or none."""
@@ -436,6 +468,10 @@ def advance(
             if kind == BY_CONTROLS:
                 vehicle.steering = steering if i == 0 else vehicle.steering
                 vehicle.target_lane = vehicle.lane
+        if here.constants.regulation_steps:
+            scenes.steps[b] += 1
+            if scenes.steps[b] % here.constants.regulation_steps == 0:
+                enforce(scenes.road, here)
         move_all(here)
         for i in range(here.places):
             vehicle = vehicle_of(here, i)

@@ -20,6 +20,7 @@ from charms_bench.roads.observing import Kinematics, Observed, observer_of
 from charms_bench.roads.scenes import Scenes, place
 from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.profile import HIGHWAY_ENV
 
 Seen = Observed | tuple[Observed, ...]
@@ -57,8 +58,7 @@ class Episodes:
 
     def __init__(self, name: str, count: int, config: Mapping[str, Any] | None = None) -> None:
         self.name = name
-        module, class_name = TASKS[name].split(":")
-        task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
+        task = _task_of(name)
         _check_egos(task, config)
         self.config = configuration.checked(DEFAULTS[name], config)
         """highway-env's configuration, with the defaults."""
@@ -194,6 +194,32 @@ class Episodes:
         rows = self.everyone if rows is None else rows
         seen = [observer.observe(self.scenes, rows) for observer in self.observers]
         return tuple(seen) if self.sees_agents else seen[0]
+
+
+def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int) -> Episodes:
+    """B scenes for agents with actions of their own, with the configuration of a road.
+
+    Where the environment's actions are accelerations and steering angles, the ego starts as it does
+    with meta-actions.
+
+    Raises:
+        InputError: See `Episodes`.
+    """
+    config: dict[str, Any] = {**(road.configuration or {}), "simulation_frequency": simulation_hz}
+    is_continuous = DEFAULTS[road.name]["action"]["type"] == "ContinuousAction"
+    if is_continuous and _takes_meta_actions(road.name):
+        config["action"] = {"type": "DiscreteMetaAction", "lateral": False}
+    return Episodes(road.name, count, config)
+
+
+def _takes_meta_actions(name: str) -> bool:
+    return "DiscreteMetaAction" in _task_of(name).actions
+
+
+def _task_of(name: str) -> type[Task]:
+    module, class_name = TASKS[name].split(":")
+    task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
+    return task
 
 
 def _check_egos(task: type[Task], config: Any) -> None:

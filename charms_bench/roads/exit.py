@@ -105,7 +105,7 @@ class Exit(Task):
         ego["route_numbers"][rows, :2] = rule.lanes - 1, rule.lanes
         ego["route_step"][rows], ego["route_end"][rows] = 0, 2
 
-    def has_reached_goal(self, scenes: Scenes) -> Bools:
+    def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the ramp."""
         return np.asarray(scenes.vehicles["lane"][:, 0] == self._rule.exit_ramp)
 

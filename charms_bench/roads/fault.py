@@ -36,6 +36,7 @@ from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.world.gaps import requires_braking
 from charms_bench.world.road import heading_at, is_on_lane, local_coordinates
 from charms_bench.world.road_network import Network
+from charms_bench.world.scene import Vehicles
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
 RECENT_S = 2.0
@@ -86,6 +87,13 @@ class Fault:
     def start(self, rows: Ints) -> None:
         """Starts episodes in the scenes `rows` (R,), or continues them without a past."""
         self.at_fault[rows], self._noted[rows], self._wrecked[rows] = np.nan, 0, 0
+
+    def forget(self, scenes: Scenes, vehicles: Vehicles) -> None:
+        """Vehicles that have just come to their places have done nothing before."""
+        rows, places = vehicles
+        self._wrecked[vehicles] = 0
+        for name in MOMENT.names or ():
+            self._moments[name][:, rows, places] = scenes.vehicles[name][vehicles]
 
     def note(self, scenes: Scenes, rows: Ints) -> None:
         """Notes a simulation step of the scenes `rows`, and judges the egos that have collided."""

@@ -52,6 +52,7 @@ class Highway(Task):
     terms = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
     can_have_egos = True
     others_collide = True
+    has_goal = False
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         super().__init__(config)

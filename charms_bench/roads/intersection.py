@@ -75,6 +75,7 @@ class Intersection(Task):
         "deceleration_mps2": 3.0,
     }
     can_have_egos = rewards_each = True
+    comes_and_goes = True
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         super().__init__(config)
@@ -166,6 +167,10 @@ class Intersection(Task):
     def ranks(self, scenes: Scenes) -> Ints:
         """highway-env's priorities; lanes that lead away say nothing."""
         return np.where(self._exits, NO_RANK, scenes.road.lanes["priority"])
+
+    def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
+        """Whether each ego (B,) has left the intersection [`IntersectionEnv.has_arrived`]."""
+        return _have_arrived(scenes, self._exits)
 
     def is_terminated(self, scenes: Scenes) -> Bools:
         egos = scenes.vehicles[:, : self.egos]
@@ -301,6 +306,23 @@ def _follow(
         enter(scenes, b, entries, routes, 0.0, rule.chance, (1.0, 1.0), False)
 
 
+@compiled
+def has_arrived(scenes: Scenes, b: int, i: int, exits: Bools) -> bool:
+    """Whether a vehicle is behind the intersection [`IntersectionEnv.has_arrived`]."""
+    vehicle = scenes.vehicles[b, i]
+    s, _ = local_coordinates(scenes.road, vehicle.lane, vehicle.x, vehicle.y)
+    return bool(exits[vehicle.lane] and s >= ARRIVED_M)
+
+
+@compiled_of_scenes
+def _have_arrived(scenes: Scenes, exits: Bools) -> Bools:
+    """(B,) whether the first egos have arrived."""
+    found = np.empty(scenes.vehicles.shape[0], dtype=np.bool_)
+    for b in range(found.size):
+        found[b] = has_arrived(scenes, b, 0, exits)
+    return found
+
+
 @compiled_of_scenes
 def _judge(
     scenes: Scenes,
@@ -321,18 +343,17 @@ def _judge(
         out[b] = 0.0
         for ego in range(rule.egos):
             vehicle = scenes.vehicles[b, ego]
-            s, _ = local_coordinates(scenes.road, vehicle.lane, vehicle.x, vehicle.y)
-            has_arrived = exits[vehicle.lane] and s >= ARRIVED_M
+            arrived = has_arrived(scenes, b, ego, exits)
             row[1] = vehicle.crashed
             row[2] = clip(share(vehicle.speed, rule.speed_low, rule.speed_high), 0.0, 1.0)
-            row[3] = has_arrived
+            row[3] = arrived
             row[4] = is_on_lane(scenes.road, vehicle.lane, vehicle.x, vehicle.y, 0.0)
-            reward = rule.arrived if has_arrived else weighted(weights, row)
+            reward = rule.arrived if arrived else weighted(weights, row)
             reward *= row[4]
             if rule.normalises:
                 reward = share(reward, rule.collision, rule.arrived)
             row[0] = rewards[b, ego] = reward
-            have_arrived[b, ego] = has_arrived
+            have_arrived[b, ego] = arrived
             for k in range(row.size):
                 out[b, k] += row[k]
         for k in range(row.size):

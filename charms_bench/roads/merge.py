@@ -110,9 +110,12 @@ class Merge(Task):
         _judge(scenes, rows, actions, self.weights, self._rule, rewards)
 
     def is_terminated(self, scenes: Scenes) -> Bools:
-        return np.asarray(scenes.vehicles["crashed"][:, 0] | self.has_reached_goal(scenes))
+        return np.asarray(scenes.vehicles["crashed"][:, 0] | self._has_passed(scenes))
 
-    def has_reached_goal(self, scenes: Scenes) -> Bools:
+    def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
+        return self._has_passed(scenes)
+
+    def _has_passed(self, scenes: Scenes) -> Bools:
         """Whether each ego (B,) has passed the place where the lanes merge."""
         return np.asarray(scenes.vehicles["x"][:, 0] > self._end_x)
 

@@ -94,6 +94,12 @@ class Racetrack(Task):
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._rule, self._nodes, self._roads)
 
+    def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
+        """Whether each ego (B,) has come round to the road on which it has started."""
+        lanes = scenes.road.lanes
+        road = lanes["first"][scenes.vehicles["lane"][:, 0]]
+        return np.asarray((road == self._rule.own) & (lanes_before >= 0))
+
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         norms = np.linalg.norm(actions.reshape(len(actions), -1), axis=1)
         costs = (self._action_weight * norms).astype(np.float64)

@@ -1,5 +1,6 @@
 """The settings of scenes on a road of highway-env, and the agents that can drive there."""
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -8,10 +9,12 @@ import numpy as np
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.roads import OF_SUITES
-from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.defaults import DEFAULTS
+from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.actions import ActionsLike, meta_actions_of
 from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import SceneSettings
 
@@ -20,6 +23,24 @@ _OF_STRAIGHT_ROADS = (
     *("inflow", "recording", "vehicle_types", "ego_type"),
 )
 """What a suite says of its scenes, but a road decides itself."""
+SIMULATION_HZ = 15
+"""At which the start of an episode is looked at: few roads simulate before it."""
+_OF_SCENES = {
+    "action": "the agents of a suite have their own actions",
+    "observation": "the agents of a suite have their own observations",
+    "simulation_frequency": "give scene.simulation_hz",
+    "policy_frequency": "give scene.decision_hz",
+    "duration": "give duration_s beside the road's name",
+    "controlled_vehicles": "a suite has one ego",
+}
+"""Keys of highway-env's configuration that a suite says in another way."""
+_MOST = {
+    **dict.fromkeys(("vehicles_count", "other_vehicles", "initial_vehicle_count"), 2000),
+    **dict.fromkeys(("lanes_count", "no_lanes", "roundabout_lanes"), 50),
+}
+"""The largest values of keys, so that scenes fit into memory."""
+LARGEST = 10_000
+"""That of all other keys."""
 
 
 class _Road(NamedTuple):
@@ -27,41 +48,73 @@ class _Road(NamedTuple):
     """For vehicles and obstacles."""
     lanes: int
     """The most lanes beside each other."""
+    lane_width: float
+    """That of the ego's lane at the start, m."""
     ego_speed: float
     """The speed of the ego at the start, m/s."""
     others_speed: float
     """The lowest target speed of another vehicle at the start of episode 0, m/s."""
 
 
+def _check(road: NamedRoad) -> None:
+    """Raises an `InputError` if a road is none of suites, or its configuration is not its own."""
+    if road.name not in OF_SUITES:
+        known = suggestion(road.name, dict.fromkeys(OF_SUITES))
+        raise InputError(f"no road named '{road.name}'. {known}")
+    for key, value in (road.configuration or {}).items():
+        if key in _OF_SCENES:
+            raise InputError(f"configuration.{key}: {_OF_SCENES[key]}")
+        most = _MOST.get(key, LARGEST)
+        if isinstance(value, int | float) and not abs(value) <= most:
+            raise InputError(f"configuration.{key}: {value}; expected at most {most:,}")
+
+
 @lru_cache
-def _road(name: str) -> _Road:
-    if name not in OF_SUITES:
-        raise InputError(f"no road named '{name}'. {suggestion(name, dict.fromkeys(OF_SUITES))}")
-    episodes = Episodes(name, 1)
+def _road(road: NamedRoad) -> _Road:
+    try:
+        episodes = episodes_of_agents(road, 1, SIMULATION_HZ)
+    except InputError as error:
+        raise InputError(str(error).replace("config", "configuration", 1)) from error
     episodes.seed(episodes.everyone, np.zeros(1, dtype=np.uint64))
     episodes.start(episodes.everyone)
     scenes = episodes.scenes
     lanes = int(scenes.road.lanes["lanes"].max())
     others = scenes.vehicles[0, 1:]
-    slowest = others["target_speed"][others["kind"] > OBSTACLE].min()
+    slowest = others["target_speed"][others["kind"] > OBSTACLE].min(initial=math.inf)
     speed = scenes.vehicles["speed"][0, 0]
-    return _Road(scenes.vehicles.shape[1], lanes, float(speed), float(slowest))
+    width = scenes.road.lanes["width"][scenes.vehicles["lane"][0, 0]]
+    places = scenes.vehicles.shape[1]
+    return _Road(places, lanes, float(width), float(speed), float(slowest))
 
 
-def on_road(settings: SceneSettings, name: str) -> SceneSettings:
-    """The same settings for scenes of the environment of highway-env with that name.
+def on_road(
+    settings: SceneSettings, road: NamedRoad, duration_s: float | None = None
+) -> SceneSettings:
+    """The same settings for scenes on one of highway-env's roads.
+
+    By default, the duration is that of the settings.
 
     Raises:
-        InputError: There is no such road, or the settings place vehicles in another way.
+        InputError: There is no such road, its configuration is wrong, or the settings place
+            vehicles in another way.
     """
-    road = _road(name)
+    _check(road)
+    duration_s = settings.duration_s if duration_s is None else duration_s
+    if "duration" in DEFAULTS[road.name]:  # which decides how many vehicles there is room for
+        configuration = {**(road.configuration or {}), "duration": duration_s}
+        road = road.model_copy(update={"configuration": configuration})
+    found = _road(road)
     for field in _OF_STRAIGHT_ROADS:
         if getattr(settings, field) != SceneSettings.model_fields[field].default:
             raise InputError(
-                f"the road '{name}' has its own lanes and vehicles; remove scene.{field}"
+                f"the road '{road}' has its own lanes and vehicles; remove scene.{field}"
             )
-    changes = {"network": name, "lanes": road.lanes, "traffic_vehicles": road.places - 1}
-    return settings.model_copy(update={**changes, "ego_slots": 1})
+    changes = {"network": road, "lanes": found.lanes, "traffic_vehicles": found.places - 1}
+    changes |= {"duration_s": duration_s, "ego_slots": 1}
+    if found.lane_width != settings.profile.lane_width_m:
+        width = {"lane_width_m": found.lane_width}
+        changes["profile"] = settings.profile.model_copy(update=width)
+    return settings.model_copy(update=changes)
 
 
 def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True) -> str:

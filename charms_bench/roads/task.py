@@ -39,6 +39,10 @@ class Task(ABC):
     """After so many simulation steps, vehicles look who has the right of way; 0 if never."""
     takes_types = True
     """Whether the vehicles other than the egos are of the type `other_vehicles_type`."""
+    has_goal = True
+    """Whether the ego should get somewhere; see `has_reached_goal`."""
+    comes_and_goes = False
+    """Whether vehicles enter and leave after each decision of highway-env; see `follow`."""
     can_have_egos = False
     """Whether several vehicles can be controlled."""
     rewards_each = False
@@ -89,10 +93,11 @@ class Task(ABC):
         """Gives the egos of new episodes a route to the goal; by default, they keep their own."""
         return
 
-    def has_reached_goal(self, scenes: Scenes) -> Bools:
+    def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is where it should go; by default, on the last road of its route.
 
-        highway-env rewards some of these goals; it does not end an episode there.
+        highway-env rewards some of these goals; it does not end an episode there. `lanes_before`
+        (B,) are the lanes from which the egos came to their roads; -1 for none.
         """
         ego = scenes.vehicles[:, 0]
         each, last = np.arange(ego.size), ego["route_end"] - 1

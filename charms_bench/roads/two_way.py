@@ -3,9 +3,10 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import normal
 from charms_bench.roads.layout import WIDTH_M, Edge
@@ -15,6 +16,8 @@ from charms_bench.world.road import heading_at
 from charms_bench.world.road_network import NO_LINE, SOLID_LINE, STRIPED, StraightLane
 
 LENGTH_M = 800.0
+GOAL_M = 780.0
+"""The ego should get this far, which is just before the end of the road."""
 
 
 class TwoWay(Task):
@@ -37,6 +40,10 @@ class TwoWay(Task):
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._own, self._oncoming)
+
+    def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
+        """Whether each ego (B,) is at the end of the road."""
+        return np.asarray(scenes.vehicles["x"][:, 0] > GOAL_M)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, self.weights, rewards)

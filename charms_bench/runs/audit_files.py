@@ -81,7 +81,7 @@ def _shards(
         for path in folder.damaged_files(shard):
             where = path.relative_to(folder.path).as_posix()
             yield Finding("files", where, "fail", "is missing or does not match its checksum")
-        yield from _rows(folder, shard, drivers[shard.cell // len(suite.traffics)], is_own)
+        yield from _rows(folder, shard, drivers[shard.cell // len(suite.surroundings)], is_own)
     for (index, first), episodes in places.items():
         if (index, first) not in by_place:
             last = first + episodes - 1

@@ -13,15 +13,22 @@ from charms_bench.foundation.words import counted
 from charms_bench.metrics import Metric, sums_by_episode
 from charms_bench.metrics.metric import problem_of_sums
 from charms_bench.world.following import BINS, QUANTITIES
+from charms_bench.world.named_road import ENVIRONMENT
 from charms_bench.world.scene import Floats, SceneSettings
 
 Rows = tuple[pl.DataFrame, ...]
 """Rows of the same episodes, one frame per kind."""
 
 
+def title_of(labels: Sequence[str]) -> str:
+    """The name of a road and a traffic model together; on the straight road, of the latter."""
+    road, traffic = labels[:-1], labels[-1]
+    return ", ".join(road if road and traffic == ENVIRONMENT else labels)
+
+
 @dataclass(frozen=True, eq=False)
 class CellRows:
-    """An ego in a traffic, and the rows recorded of it."""
+    """An ego on a road in a traffic, and the rows recorded of it."""
 
     agent: str
     traffic: str
@@ -35,9 +42,21 @@ class CellRows:
     """Values that the paper reports, by metric of the set `paper`."""
     left_out: int = 0
     """Concrete scenarios without rows here, because prescribed vehicles collide in them."""
+    road: str = ""
+    """Empty for the straight road of the scene."""
 
     def __repr__(self) -> str:
-        return f"<CellRows {self.agent} in {self.traffic}: {counted(self.size, 'episode')}>"
+        return f"<CellRows {self.agent} in {self.surroundings}: {counted(self.size, 'episode')}>"
+
+    @property
+    def surroundings(self) -> str:
+        """The name of its road and its traffic model together."""
+        return title_of(self.labels[1:])
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Those of its rows in tables; see `Suite.with_road`."""
+        return tuple(filter(None, (self.agent, self.road, self.traffic)))
 
     @cached_property
     def episodes(self) -> pl.DataFrame:

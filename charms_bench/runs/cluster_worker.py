@@ -66,7 +66,7 @@ def run_shard(pickled: bytes, job: Job) -> "ShardFiles":
             if not networks[name].exists():
                 write_bytes(networks[name], job.networks[sha256])
         task = replace(task, networks=networks)
-        found = installed(task.ego, task.traffic, task.networks)
+        found = installed(task.ego, task.traffic, task.networks, task.scene.network is not None)
         _refuse(worker.address, found.differences(task.software))
         return simulate(task)
 

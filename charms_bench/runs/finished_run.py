@@ -59,6 +59,7 @@ class FinishedRun:
             drivers=self._parts(index, "drivers"),
             paper=cell.paper,
             left_out=len(left_out),
+            road=cell.road.title if cell.road else "",
         )
 
     def left_out(self, index: int) -> pl.Series:
@@ -66,7 +67,7 @@ class FinishedRun:
         suite, cell = self.suite, self.suite.cells[index]
         if not self.leaves_out or cell.scene.scenario is None:
             return _NO_SEEDS
-        place = index % len(suite.traffics)
+        place = index % len(suite.surroundings)
         if place not in self._left_out:
             from charms_bench.engine.pile_ups import pile_ups  # loads the compiled engine
 
@@ -88,7 +89,7 @@ class FinishedRun:
         """What the vehicles of every finished cell did while they followed a leader; see `cell`."""
         return [
             TrafficCounts.of(
-                self.suite.cells[index].traffic.title,
+                self.suite.cells[index].surroundings.title,
                 self.suite.episodes - len(self.left_out(index)),
                 self._parts(index, "episodes", "counts"),
             )

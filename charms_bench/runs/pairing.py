@@ -66,8 +66,7 @@ def _conditions(run: FinishedRun) -> dict[str, Any]:
     """
     manifest, suite = run.folder.manifest(), run.suite
     traffics = [entry.traffic for entry in suite.traffics]
-    drivers = [traffic.drivers or traffic for traffic in traffics]
-    named = {name for each in drivers for name in (each.name, *each.mixture)}
+    named = {name for each in traffics for name in (each.name, *each.mixture)}
     named |= {name for each in traffics if each.scenario for name in each.scenario.agents}
     egos = {ego.agent.origin for ego in suite.egos} - named
     agents = manifest.get("agents", {})
@@ -75,6 +74,7 @@ def _conditions(run: FinishedRun) -> dict[str, Any]:
     return {
         "charms_bench": manifest.get("charms_bench"),
         "scene": suite.scene.model_dump(mode="json"),
+        "roads": [each.model_dump(mode="json", exclude={"label"}) for each in suite.roads],
         "seed": suite.seed,
         "episodes": suite.episodes,
         "traffic_models": [by_content(each.model_dump(mode="json"), networks) for each in traffics],
@@ -91,13 +91,13 @@ def _matched(first: FinishedRun, second: FinishedRun, agents: list[tuple[str, st
                     f"{run.folder.path}: no ego named '{name}'. {suggestion(name, known)}"
                 )
     ours, theirs = (
-        {(cell.agent, cell.traffic): cell for cell in run.cells()} for run in (first, second)
+        {(cell.agent, cell.surroundings): cell for cell in run.cells()} for run in (first, second)
     )
     pairs = []
-    # Labels of traffics may differ, but `check_same_episodes` has compared the traffics.
-    for traffic, its_twin in zip(first.suite.traffics, second.suite.traffics, strict=True):
+    # Labels may differ, but `check_same_episodes` has compared the roads and the traffics.
+    for place, its_twin in zip(first.suite.surroundings, second.suite.surroundings, strict=True):
         for one, other in agents:
-            mine, its = ours[one, traffic.title], theirs[other, its_twin.title]
+            mine, its = ours[one, place.title], theirs[other, its_twin.title]
             if mine.agent == its.agent:
                 mine = replace(mine, agent=f"{one} ({first.folder.path})")
                 its = replace(its, agent=f"{other} ({second.folder.path})")

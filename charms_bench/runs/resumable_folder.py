@@ -127,12 +127,24 @@ class RunFolder:
         Raises a `RunFolderError` if the manifest describes no suite.
         """
         manifest = self.manifest()
+        self._refuse_roads_of_traffic(manifest)
         try:
             undeciding = {name: manifest[name] for name in UNDECIDING if name in manifest}
             return Suite.model_validate({**manifest["suite"], **undeciding})
         except (KeyError, TypeError, ValueError) as error:
             reason = problem_in(error)
             raise RunFolderError(f"{self.path / MANIFEST}: describes no suite: {reason}") from error
+
+    def _refuse_roads_of_traffic(self, manifest: dict[str, Any]) -> None:
+        """Raises a `RunFolderError` if roads were traffic models when the folder was written."""
+        suite = manifest.get("suite")
+        traffics = suite.get("traffics") if isinstance(suite, dict) else None
+        entries = [each for each in traffics or () if isinstance(each, dict)]
+        if any("road" in (each.get("traffic") or ()) for each in entries):
+            raise RunFolderError(
+                f"{self.path}: was written when roads were traffic models; `charms-bench run "
+                f"{suite['suite']} --output {self.path}-2` makes it again"  # type: ignore[index]
+            )
 
     def episodes(self) -> int:
         """Returns the number of episodes of the run; 0 without a manifest."""
@@ -167,7 +179,7 @@ class RunFolder:
                     f"{path}: is not of a shard of the suite in {MANIFEST}; run the suite again, "
                     "or delete the file"
                 )
-            shard = replace(shard, ego=drivers[shard.cell // len(suite.traffics)])
+            shard = replace(shard, ego=drivers[shard.cell // len(suite.surroundings)])
             other = found.setdefault((shard.cell, shard.first_seed), shard)
             if other != shard:
                 raise RunFolderError(

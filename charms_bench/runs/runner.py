@@ -105,7 +105,7 @@ def run(
         if rows is not None:
             folder.take(tasks, rows)
         run = FinishedRun(suite, folder, tuple(tasks), failed)
-        for index in range(len(suite.traffics)):
+        for index in range(len(suite.surroundings)):
             run.left_out(index)  # refuses scenarios of which none counts
         unfinished = Counter(shard.cell for shard in tasks)
 
@@ -274,7 +274,7 @@ def plan_cell(
     networks = networks_of(ego, traffic_of(traffic), suite.folder)
     if folder is not None:
         networks = {name: folder.network(name) or path for name, path in networks.items()}
-    software = installed(ego, traffic, networks)
+    software = installed(ego, traffic, networks, cell.road is not None)
     for each in drivers_of(ego, traffic_of(traffic)) if cell.scene.recording is None else ():
         if getattr(agent_of(each, networks), "follows_recording", False):
             raise SuiteError(

@@ -107,6 +107,8 @@ class CellTask:
             name: f"{self.software.agents[name]['weights_sha256']} {number}"
             for number, name in enumerate(self.networks)
         }
+        if self.scene.network is not None:
+            inputs["road"] = _plain(self.scene.network)
         if (source := self.scene.recording) is not None:
             contents[str(source.folder)] = source.sha256
         named = by_content(inputs, contents) if contents else inputs
@@ -140,7 +142,8 @@ def simulate(task: ShardTask) -> ShardFiles:
     use_exact_maths(task.engine)
     names = harness_names()
     forget_identities()
-    if changed := installed(task.ego, task.traffic, task.networks).differences(task.software):
+    now = installed(task.ego, task.traffic, task.networks, task.scene.network is not None)
+    if changed := now.differences(task.software):
         raise RunFolderError(
             f"{task.title}: changed since the run began: {changed}; run the suite again"
         )
@@ -221,10 +224,15 @@ def in_parquet(rows: pl.DataFrame) -> bytes:
     return file.getvalue()
 
 
-def installed(ego: AgentSpec, traffic: TrafficSpec, networks: Mapping[str, Path]) -> Software:
-    """Returns what is installed here and decides the rows of a cell."""
+def installed(
+    ego: AgentSpec, traffic: TrafficSpec, networks: Mapping[str, Path], on_network: bool = False
+) -> Software:
+    """Returns what is installed here and decides the rows of a cell.
+
+    `on_network` says whether the cell is on one of highway-env's roads.
+    """
     agents = identify_agents(ego, traffic, networks)
-    code = harness_sha256(without=ROADS if traffic.road is None else None)
+    code = harness_sha256(without=None if on_network else ROADS)
     return Software(code, library_versions(), agents)
 
 
@@ -241,7 +249,7 @@ def identify_agents(
         driver.origin: dict(_identity(driver.model_dump_json(), networks.get(driver.name)))
         for driver in drivers
     }
-    name = (traffic.drivers or traffic).name
+    name = traffic.name
     if name is not None and (origin := _origin_of_traffic(name)):
         found[f"traffic {name}"] = dict(origin)
     return found

@@ -44,7 +44,7 @@ def blocks(suite: Suite, engine: EngineName) -> Iterator[tuple[int, int]]:
 
 def places_of(suite: Suite, engine: EngineName) -> Places:
     """Returns the shards that a finished run of a suite has."""
-    cells = range(len(suite.egos) * len(suite.traffics))
+    cells = range(len(suite.egos) * len(suite.surroundings))
     return {(cell, first): count for cell in cells for first, count in blocks(suite, engine)}
 
 

@@ -4,14 +4,22 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from itertools import product, starmap
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
 
 from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
-from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name, NonNegative
+from charms_bench.foundation.fields import (
+    UNLESS_EMPTY,
+    Finite,
+    FrozenModel,
+    Line,
+    Name,
+    NonNegative,
+)
 from charms_bench.foundation.names import alike
 from charms_bench.foundation.words import counted
 from charms_bench.metrics import PAPER, ROADS, SCENARIOS, WARM_UP_S, MetricSet, standard_after
@@ -20,8 +28,11 @@ from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network, make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.runs.cells import title_of
 from charms_bench.runs.document import Document, Location
+from charms_bench.runs.suite_roads import RoadEntry, refuse_roads_of_traffic, with_own_duration
 from charms_bench.world.moments import RecordedScene, moments_of
+from charms_bench.world.named_road import ENVIRONMENT
 from charms_bench.world.placement import driver_parameters, place
 from charms_bench.world.scenario import PRESCRIBED, Scenario
 from charms_bench.world.scene import EVALUATION_SEEDS, Ints, SceneSettings
@@ -74,25 +85,46 @@ class TrafficEntry(FrozenModel):
     def title(self) -> str:
         """Its name in tables."""
         spec = self.traffic
-        if self.label or spec.road is None:
-            return self.label or spec.name or " + ".join(spec.mixture) or "scenario"
-        if spec.drivers is None:
-            return spec.road
-        return f"{spec.road}, {TrafficEntry(traffic=spec.drivers).title}"
+        return self.label or spec.name or " + ".join(spec.mixture) or "scenario"
+
+
+class Surroundings(NamedTuple):
+    """Where the egos of a suite drive, and among whom."""
+
+    road: RoadEntry | None
+    """None is the straight road of the suite's scene."""
+    traffic: TrafficEntry
+
+    @property
+    def title(self) -> str:
+        """Their name in tables that have one name for both."""
+        return title_of([each.title for each in self if each is not None])
 
 
 class Cell(FrozenModel):
-    """One ego in one traffic."""
+    """One ego on one road in one traffic."""
 
     ego: EgoEntry
+    road: RoadEntry | None = None
+    """None is the straight road of the suite's scene."""
     traffic: TrafficEntry
     scene: SceneSettings
     """The suite's, with the vehicles of the traffic's scenario, or on its road."""
 
     @property
+    def surroundings(self) -> Surroundings:
+        """Its road and its traffic."""
+        return Surroundings(self.road, self.traffic)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Those of its rows in tables; see `Suite.with_road`."""
+        return tuple(each.title for each in (self.ego, *self.surroundings) if each is not None)
+
+    @property
     def title(self) -> str:
         """Its name in messages."""
-        return f"{self.ego.title} in {self.traffic.title}"
+        return f"{self.ego.title} in {self.surroundings.title}"
 
     @property
     def paper(self) -> dict[str, float]:
@@ -101,7 +133,7 @@ class Cell(FrozenModel):
 
 
 class Suite(FrozenModel):
-    """An evaluation: every ego in every traffic model, on the same episodes."""
+    """An evaluation: every ego on every road in every traffic model, on the same episodes."""
 
     suite: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
     """Its name, and that of its tables."""
@@ -110,7 +142,7 @@ class Suite(FrozenModel):
     note: Line = ""
     """What a reader of its tables has to know, such as what an agent was trained on."""
     episodes: Annotated[int, Field(ge=1, le=EPISODES_LIMIT)]
-    """Episodes of each ego in each traffic model."""
+    """Episodes of each ego on each road in each traffic model."""
     seed: Annotated[int, Field(ge=0, lt=EVALUATION_SEEDS)] = 0
     """Seed of the first episode; the next episodes have the next seeds."""
     scene: RecordedScene = SceneSettings()
@@ -119,11 +151,16 @@ class Suite(FrozenModel):
         tuple[EgoEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
     ]
     """The agents that are evaluated, at most 100."""
+    roads: Annotated[
+        tuple[RoadEntry, ...], Field(max_length=ENTRIES_LIMIT, strict=False), UNLESS_EMPTY
+    ] = ()
+    """Roads of highway-env, at most 100. By default, it is the straight road of the scene."""
     traffics: Annotated[
         tuple[TrafficEntry, ...],
         Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False, alias="traffic_models"),
     ]
-    """What drives the vehicles around the ego, at most 100."""
+    """What drives the vehicles around the ego, at most 100. With `roads`, the default is
+    `environment`, the vehicles that a road's environment has itself."""
     columns: Annotated[tuple[Name, ...], Field(max_length=1000, strict=False)] = ()
     """Metrics of the printed table; if empty, those of the paper."""
     warm_up_s: NonNegative | None = None
@@ -146,11 +183,32 @@ class Suite(FrozenModel):
     """Folder that relative paths start from: that of the suite file."""
 
     def __repr__(self) -> str:
-        egos, traffics = len(self.egos), len(self.traffics)
-        cells = f"{counted(egos, 'ego')} x {counted(traffics, 'traffic model')}"
-        return f"<Suite {self.suite}: {cells}, {counted(self.episodes, 'episode')} each>"
+        return f"<Suite {self.suite}: {self.size}, {counted(self.episodes, 'episode')} each>"
 
     __str__ = __repr__
+
+    @property
+    def size(self) -> str:
+        """How many egos, roads and traffic models it has."""
+        named = {"ego": self.egos, "road": self.roads, "traffic model": self.traffics}
+        return " x ".join(counted(len(each), name) for name, each in named.items() if each)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_roads(cls, value: Any) -> Any:
+        """Writes down what the roads decide: the traffic model, and how long an episode is."""
+        if not isinstance(value, dict):
+            return value
+        names = {"traffics", "traffic_models"} & {*value}
+        for name in names:
+            refuse_roads_of_traffic(cls.__name__, name, value[name])
+        roads = value.get("roads")
+        if not isinstance(roads, list | tuple) or not roads:
+            return value
+        value = {**value} if names else {**value, "traffic_models": [{"traffic": ENVIRONMENT}]}
+        if "duration_s" not in (value.get("scene") or {}):
+            value["roads"] = [with_own_duration(each) for each in roads]
+        return value
 
     @model_validator(mode="before")
     @classmethod
@@ -168,13 +226,22 @@ class Suite(FrozenModel):
                 f"warm_up_s: {self.warm_up_s:g} s leave nothing of an episode of "
                 f"{self.scene.duration_s:g} s"
             )
-        for what, entries in (("egos", self.egos), ("traffic models", self.traffics)):
+        every: dict[str, Sequence[EgoEntry | RoadEntry | TrafficEntry]] = {
+            "egos": self.egos,
+            "roads": self.roads,
+            "traffic models": self.traffics,
+        }
+        for what, entries in every.items():
             titles = [entry.title for entry in entries]
             if title := alike(titles):
                 how = "are called" if titles.count(title) > 1 else "look in tables as if called"
                 raise ValueError(f"two {what} {how} '{title}'; give them different labels")
         if self.pairs and (len(self.egos) < 2 or len(self.traffics) > 1):
             raise ValueError("pairs needs two or more egos and one traffic model")
+        if not self.roads and any(each.traffic.is_environment for each in self.traffics):
+            raise ValueError(f"the traffic model `{ENVIRONMENT}` is that of `roads`; give some")
+        if self.roads and any(each.traffic.scenario for each in self.traffics):
+            raise ValueError("a scenario places vehicles on the straight road; remove the roads")
         if self.references and len(self.egos) > 1:
             raise ValueError("references are compared with traffic models; expected one ego")
         if alike([reference.title for reference in self.references]):
@@ -190,7 +257,7 @@ class Suite(FrozenModel):
                 raise ValueError(f"preventable_by: no ego called '{name}'. {known}")
         if len(set(self.preventable_by)) < len(self.preventable_by):
             raise ValueError(f"preventable_by: '{self.preventable_by[0]}' is given twice")
-        total = self.episodes * len(self.egos) * len(self.traffics)
+        total = self.episodes * len(self.egos) * max(1, len(self.roads)) * len(self.traffics)
         if total > EPISODES_LIMIT:
             raise ValueError(
                 f"{counted(total, 'episode')} in all cells; expected at most {EPISODES_LIMIT:,}"
@@ -198,26 +265,37 @@ class Suite(FrozenModel):
         return self
 
     @cached_property
+    def surroundings(self) -> tuple[Surroundings, ...]:
+        """Every road with every traffic model."""
+        return tuple(starmap(Surroundings, product(self.roads or (None,), self.traffics)))
+
+    @cached_property
     def cells(self) -> tuple[Cell, ...]:
-        """Every ego in every traffic; made once, because a suite can have 10,000 of them."""
-        scenes = [self._scene_of(each.traffic) for each in self.traffics]
+        """Every ego in all surroundings; made once, because a suite can have 10,000 of them."""
+        scenes = [self._scene_of(each) for each in self.surroundings]
         return tuple(
-            Cell(ego=ego, traffic=traffic, scene=scene)
+            Cell(ego=ego, road=road, traffic=traffic, scene=scene)
             for ego in self.egos
-            for traffic, scene in zip(self.traffics, scenes, strict=True)
+            for (road, traffic), scene in zip(self.surroundings, scenes, strict=True)
         )
 
-    def _scene_of(self, traffic: TrafficSpec) -> SceneSettings:
-        if traffic.road is None:
-            return self.scene.of_scenario(traffic.scenario)
+    def _scene_of(self, surroundings: Surroundings) -> SceneSettings:
+        road, traffic = surroundings
+        if road is None:
+            return self.scene.of_scenario(traffic.traffic.scenario)
         from charms_bench.roads.settings import on_road  # slow to import
 
-        return on_road(self.scene, traffic.road)
+        return on_road(self.scene, road.road, road.duration_s)
+
+    def with_road(self, keys: tuple[str, ...]) -> tuple[str, ...]:
+        """The keys of a table, and the road before the traffic model if there are `roads`."""
+        place = keys.index("traffic") if "traffic" in keys else len(keys)
+        return (*keys[:place], "road", *keys[place:]) if self.roads else keys
 
     @property
     def metric_sets(self) -> tuple[MetricSet, ...]:
         """The metrics of its tables."""
-        has_roads = any(each.traffic.road for each in self.traffics)
+        has_roads = bool(self.roads)
         has_scenarios = any(each.traffic.scenario for each in self.traffics)
         warm_up_s = self.warm_up_s
         if warm_up_s is None:
@@ -256,12 +334,17 @@ def suite_of(document: Document) -> Suite:
         for index, entry in enumerate(entries):
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
+    for index, road in enumerate(suite.roads):
+        try:
+            suite._scene_of(Surroundings(road, suite.traffics[0]))
+        except InputError as error:
+            raise document.error(("roads", index), str(error)) from error
     for index, entry in enumerate(suite.traffics):
         at, scenario = ("traffic_models", index, "traffic"), entry.traffic.scenario
         try:
-            suite._scene_of(entry.traffic)
+            suite._scene_of(Surroundings(None, entry))
         except InputError as error:
-            raise document.error((*at, "road"), str(error)) from error
+            raise document.error(at, str(error)) from error
         if scenario is not None:
             end = suite.seed + suite.episodes
             for first in range(suite.seed, end, PLACED_AT_ONCE):

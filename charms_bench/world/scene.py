@@ -30,6 +30,7 @@ from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
 from charms_bench.world.candidate_lanes import CANDIDATES, neighbours_on
 from charms_bench.world.gaps import gap_to
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, Profile
 from charms_bench.world.recordings import RecordedMoments
 from charms_bench.world.road import Straight, distance_along
@@ -85,8 +86,12 @@ class Inflow(FrozenModel):
     """How many vehicles that have entered can be on the road at once; more are an error."""
 
 
-_OF_TRAFFIC = {"network": {"what": "a `road`"}, "scenario": {"what": "the scenario"}}
-"""Fields that the traffic model of a cell decides, and no key of a scene."""
+_OF_CELLS = {
+    "road": "give it as one of the suite's `roads`",
+    "network": "give it as one of the suite's `roads`",
+    "scenario": "give the scenario as a traffic model",
+}
+"""What the road or the traffic model of a cell decides, and no key of a scene."""
 
 
 ProfileLike = Annotated[Profile, BeforeValidator(_with_overrides)]
@@ -124,19 +129,18 @@ class SceneSettings(FrozenModel):
     recording: RecordedMoments | None = None
     """Recordings at moments of which episodes start. They decide the lanes' width and the number of
     vehicles, and of lanes if it is not given: that of most vehicles."""
-    network: Annotated[str | None, Field(exclude=True)] = None
-    """highway-env's name of an environment whose road the scene has; a suite gives it as the
-    traffic model."""
+    network: Annotated[NamedRoad | None, Field(exclude=True)] = None
+    """The road of highway-env that the scene has; a suite gives it as one of its `roads`."""
     scenario: Annotated[Scenario | None, Field(exclude=True)] = None
     """The scenario that places the vehicles; a suite gives it as the traffic model."""
 
     @model_validator(mode="before")
     @classmethod
-    def _of_traffic(cls, value: Any) -> Any:
-        """Refuses what a suite gives as a traffic model."""
-        for name, what in _OF_TRAFFIC.items() if isinstance(value, dict) else ():
+    def _of_cells(cls, value: Any) -> Any:
+        """Refuses what a suite gives as a road or as a traffic model."""
+        for name, what in _OF_CELLS.items() if isinstance(value, dict) else ():
             if name in value:
-                kind = PydanticCustomError("of_traffic", "give {what} as a traffic model", what)
+                kind = PydanticCustomError("of_cells", "{what}", {"what": what})
                 unknown = InitErrorDetails(type=kind, loc=(name,), input=value[name])
                 raise ValidationError.from_exception_data(cls.__name__, [unknown])
         return value
@@ -221,7 +225,7 @@ class SceneSettings(FrozenModel):
     def check_straight(self, what: str) -> None:
         """Raises an `InputError` on a road of highway-env, where something is not possible."""
         if self.network is not None:
-            raise InputError(f"{what} the straight road, not `road: {self.network}`")
+            raise InputError(f"{what} the straight road, not the road '{self.network}'")
 
     @property
     def vehicles(self) -> int:

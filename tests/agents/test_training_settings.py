@@ -272,7 +272,7 @@ def test_a_scenario_and_another_profile_can_be_a_condition(tmp_path: Path) -> No
             {"traffic": {"scenario": STANDING}},
             r"level_0\[0\].traffic.scenario.vehicles\[0\].speed_mps: 0 is out of range; expected",
         ),
-        ({"traffic": {"road": "merge-v0"}}, "networks learn on the straight road; remove the road"),
+        ({"traffic": {"road": "merge-v0"}}, "a road is no traffic model"),
         (
             {"profile": "charms"},
             r"profile: target_speed_steps_mps: found \[\]; expected those of the stage 'level_1', ",

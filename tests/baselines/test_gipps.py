@@ -11,6 +11,7 @@ from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent, Placed
 from charms_bench.roads.engine import RoadEngine
 from charms_bench.roads.settings import on_road
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.road import side_lanes
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import SceneSettings
@@ -96,7 +97,7 @@ def test_it_passes_a_slower_leader_if_its_new_follower_need_not_brake_hard(
 
 
 def test_on_other_roads_it_changes_to_lanes_beside_its_own_only() -> None:
-    settings = on_road(SceneSettings(), "merge-v0")
+    settings = on_road(SceneSettings(), NamedRoad(name="merge-v0"))
     agents = {"gipps": make_agent("gipps")}
     made = Simulation(settings, 10, "gipps", OneAgent("gipps"), agents, RoadEngine)
     made.reset(np.arange(10, dtype=np.uint64))

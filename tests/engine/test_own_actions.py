@@ -16,6 +16,7 @@ from charms_bench.roads.engine import RoadEngine
 from charms_bench.roads.settings import on_road
 from charms_bench.testing import agent_rules
 from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT, SLOWER, ActionsLike
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scene import Floats, Observations, SceneSettings
 
 BRAKE = 5
@@ -119,7 +120,8 @@ def test_the_target_speeds_of_a_profile_are_those_of_its_own_commands(engine: En
 
 def test_the_same_actions_on_a_network_brake_there_too() -> None:
     slow = SLOW | {"ego_control_rate": "simulation"}
-    settings = on_road(SceneSettings.model_validate({"profile": slow}), "merge-v0")
+    road = NamedRoad(name="merge-v0")
+    settings = on_road(SceneSettings.model_validate({"profile": slow}), road)
     agents = {"ego": Scripted([BRAKE]), "idm_mobil": make_agent("idm_mobil")}
     made = Simulation(settings, 1, "ego", OneAgent("idm_mobil"), agents, RoadEngine)
     made.reset(np.zeros(1, dtype=np.uint64))

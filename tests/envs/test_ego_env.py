@@ -343,15 +343,20 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
         ({"traffic": {"idm_mobil": None}}, "shares must be non-negative and sum to 1"),
         ({"traffic": ["idm_mobil"]}, "traffic: found list, expected a name, a dictionary or a Tra"),
         ({"traffic": None}, "traffic: found NoneType, expected a name, a dictionary or a Traffic"),
-        ({"traffic": {"road": "merge-v9"}}, "no road named 'merge-v9'.*Did you mean 'merge-v"),
+        ({"scene": {"road": "merge-v9"}}, "no road named 'merge-v9'.*Did you mean 'merge-v"),
         (
-            {"traffic": {"road": "roundabout-v0"}},
+            {"scene": {"road": "roundabout-v0"}},
             "actions: on the road 'roundabout-v0': it commands target speeds from 22 m/s, and the",
         ),
         (
-            {"traffic": {"road": "merge-v0"}, "lanes": 4},
+            {"road": "merge-v0", "lanes": 4},
             "the road 'merge-v0' has its own lanes and vehicles; remove scene.lanes",
         ),
+        (
+            {"traffic": {"road": "merge-v0", "drivers": "human"}},
+            "a road is no traffic model; give scene={'road': 'merge-v0'}, traffic='human'",
+        ),
+        ({"traffic": "environment"}, "traffic: 'environment' needs scene={'road': ...}"),
         ({"traffic": {"name": "pch", "optons": {}}}, "charms_bench/Ego-v0: optons: unknown key"),
         ({"reward": 5}, "charms_bench/Ego-v0: reward is 5; expected a function or a Reward"),
         ({"traffic": {"scenario": {}}}, "charms_bench/Ego-v0: scenario.ego: Field required"),

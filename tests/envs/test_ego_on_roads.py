@@ -25,17 +25,17 @@ from charms_bench.roads import OF_SUITES
 from charms_bench.roads.settings import on_road
 from charms_bench.runs.shard import engine_on
 from charms_bench.world.actions import FASTER, IDLE
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scene import SceneSettings
 
 SCENE: dict[str, Any] = {
     "profile": {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0},
     "duration_s": 45.0,
 }
-AMONG_HUMANS = {"road": "merge-v1", "drivers": "human"}
 
 
-def made(traffic: Any = AMONG_HUMANS, **arguments: Any) -> EgoEnv:
-    env = gymnasium.make(ID, traffic=traffic, **{**SCENE, **arguments})
+def made(road: str = "merge-v1", traffic: str = "human", **arguments: Any) -> EgoEnv:
+    env = gymnasium.make(ID, scene={**SCENE, "road": road}, traffic=traffic, **arguments)
     assert isinstance(env.unwrapped, EgoEnv)
     return env.unwrapped
 
@@ -53,7 +53,7 @@ def driven(env: EgoEnv, actions: list[int]) -> list[tuple[Any, ...]]:
 
 @pytest.mark.parametrize("road", OF_SUITES)
 def test_every_road_of_suites_is_an_environment(road: str) -> None:
-    env = made({"road": road})
+    env = made(road, "environment")
     check_env(env, skip_render_check=True)
     seen, _ = env.reset(seed=3)
     for _ in range(20):
@@ -63,13 +63,13 @@ def test_every_road_of_suites_is_an_environment(road: str) -> None:
             break
 
 
-@pytest.mark.parametrize("traffic", [AMONG_HUMANS, {"road": "exit-v1"}])
-def test_an_episode_is_that_of_a_suite_with_the_same_decisions(traffic: dict[str, str]) -> None:
+@pytest.mark.parametrize(("road", "traffic"), [("merge-v1", "human"), ("exit-v1", "environment")])
+def test_an_episode_is_that_of_a_suite_with_the_same_decisions(road: str, traffic: str) -> None:
     spec, policy = TrafficSpec.model_validate(traffic), make_agent("charms")
     assert isinstance(policy, Policy)
-    env = made(traffic, actions=policy.actions)
-    settings = on_road(SceneSettings.model_validate(SCENE), traffic["road"])
-    agents = {name: make_agent(name) for name in ("charms", traffic.get("drivers", "charms"))}
+    env = made(road, traffic, actions=policy.actions)
+    settings = on_road(SceneSettings.model_validate(SCENE), NamedRoad(name=road))
+    agents = {name: make_agent(name) for name in ("charms", "human")}
     suite = Simulation(settings, 1, "charms", spec.make(), agents, engine_on(settings))
     suite.reset(np.array([7], dtype=np.uint64))
     env.reset(seed=7)
@@ -85,7 +85,8 @@ def test_an_episode_is_that_of_a_suite_with_the_same_decisions(traffic: dict[str
 
 
 def test_the_vector_environment_has_the_same_episodes() -> None:
-    many: Any = gymnasium.make_vec(ID, 3, "vector_entry_point", traffic=AMONG_HUMANS, **SCENE)
+    scene = {**SCENE, "road": "merge-v1"}
+    many: Any = gymnasium.make_vec(ID, 3, "vector_entry_point", traffic="human", scene=scene)
     ones = [made() for _ in range(3)]
     seen, _ = many.reset(seed=5)
     np.testing.assert_array_equal(seen, [env.reset(seed=5 + k)[0] for k, env in enumerate(ones)])
@@ -126,7 +127,7 @@ def test_the_goal_ends_an_episode_and_earns_the_decisions_that_are_left() -> Non
 def test_a_picture_has_the_vehicles_where_highway_env_puts_them() -> None:
     stock: Any = gymnasium.make("merge-v1").unwrapped
     stock.reset(seed=3)
-    env = made({"road": "merge-v1"}, render_mode="rgb_array")
+    env = made("merge-v1", "environment", render_mode="rgb_array")
     env.reset(seed=3)
     plan = moment_of(env.simulation, 0, ID).plan
     assert plan is not None
@@ -141,16 +142,14 @@ def test_a_picture_has_the_vehicles_where_highway_env_puts_them() -> None:
 
 @pytest.mark.parametrize("road", ["merge-v1", "roundabout-v1"])
 def test_learners_with_the_decisions_of_agents_drive_as_these(road: str) -> None:
-    traffic, policy = {"road": road, "drivers": "imitation"}, make_agent("imitation")
+    policy, around = make_agent("imitation"), TrafficSpec.model_validate("imitation").make()
     assert isinstance(policy, Policy)
-    settings = on_road(SceneSettings.model_validate(SCENE), road)
-    around = TrafficSpec.model_validate(traffic).make()
+    settings = on_road(SceneSettings.model_validate(SCENE), NamedRoad(name=road))
     agents = {"imitation": policy}
     suite = Simulation(settings, 1, "imitation", around, agents, engine_on(settings))
     suite.reset(np.array([7], dtype=np.uint64))
-    env = HighwayParallelEnv(
-        traffic=traffic, actions=policy.actions, observation=policy.observation, **SCENE
-    )
+    drawn = {"actions": policy.actions, "observation": policy.observation}
+    env = HighwayParallelEnv(traffic="imitation", road=road, **SCENE, **drawn)
     seen, _ = env.reset(seed=7)
     present = suite.engine.state.present[0]
     assert env.agents == [f"vehicle_{k}" for k in np.nonzero(present)[0]]
@@ -167,7 +166,7 @@ def test_learners_with_the_decisions_of_agents_drive_as_these(road: str) -> None
 
 
 def test_a_learner_that_reaches_the_goal_leaves_the_others_on_the_road() -> None:
-    env = LearnersVectorEnv(2, (0, 2), traffic=AMONG_HUMANS, first_seed=5, **SCENE)
+    env = LearnersVectorEnv(2, (0, 2), traffic="human", first_seed=5, road="merge-v1", **SCENE)
     env.reset()
     endings = np.zeros((2, 2), dtype=np.int64)
     for _ in range(135):
@@ -183,4 +182,4 @@ def test_a_learner_that_reaches_the_goal_leaves_the_others_on_the_road() -> None
 
 def test_a_planner_cannot_be_the_traffic() -> None:
     with pytest.raises(InputError, match="agent 'mpc' cannot drive on the road 'merge-v1': it pla"):
-        made({"road": "merge-v1", "drivers": "mpc"})
+        made("merge-v1", "mpc")

@@ -18,6 +18,7 @@ from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.roads.fault import MOMENT, NO_RANK, Track, at_fault
 from charms_bench.roads.settings import on_road
 from charms_bench.runs.shard import engine_on
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.road import closest_lane
 from charms_bench.world.road_network import Network, StraightLane, network_of
 from charms_bench.world.scene import SceneSettings
@@ -159,8 +160,11 @@ def test_who_could_have_braked_for_a_vehicle_on_the_crossing_is_at_fault() -> No
 @pytest.mark.parametrize("road", ["merge-v1", "roundabout-v1"])
 def test_every_crash_of_an_episode_on_a_road_is_judged(road: str) -> None:
     profile = {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0}
-    settings = on_road(SceneSettings.model_validate({"profile": profile}), road)
-    traffic, agents = TrafficSpec(road=road).make(), {"imitation": make_agent("imitation")}
+    settings = on_road(
+        SceneSettings.model_validate({"profile": profile, "duration_s": 45.0}), NamedRoad(name=road)
+    )
+    traffic = TrafficSpec.model_validate("environment").make()
+    agents = {"imitation": make_agent("imitation")}
     simulation = Simulation(settings, 30, "imitation", traffic, agents, engine_on(settings))
     simulation.reset(np.arange(30, dtype=np.uint64))
     while simulation.scene.active.any():

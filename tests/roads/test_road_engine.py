@@ -17,6 +17,7 @@ from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
 from charms_bench.roads import OF_SUITES
+from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.engine import RoadEngine
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.scenes import COMMANDED, OBSTACLE
@@ -24,6 +25,7 @@ from charms_bench.roads.settings import on_road
 from charms_bench.runs.runner import plan
 from charms_bench.runs.suite import Suite
 from charms_bench.world.actions import FASTER, IDLE, SLOWER
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import SceneSettings
 
@@ -51,7 +53,8 @@ def simulation(
     **scene: Any,
 ) -> Simulation:
     """Scenes that have been started with the seeds 0, 1, ..."""
-    settings = on_road(SceneSettings.model_validate({"profile": FREE, **scene}), road)
+    named = NamedRoad(name=road)
+    settings = on_road(SceneSettings.model_validate({"profile": FREE, **scene}), named)
     made = make_agent(agent) if isinstance(agent, str) else agent
     agents = {name: make_agent(name) for name in traffic.agents if name != PRESCRIBED}
     agents["ego"] = made
@@ -93,7 +96,7 @@ def test_a_state_has_the_vehicles_where_they_are_on_the_network() -> None:
         assert each.scene.speed[:, 0] == pytest.approx(faster[:, 0])
 
 
-@pytest.mark.parametrize("road", ["exit-v1", "roundabout-v1"])
+@pytest.mark.parametrize("road", ["exit-v1", "roundabout-v1", "intersection-v2"])
 @pytest.mark.parametrize("rate", ["decision", "simulation"])
 def test_looking_at_scenes_in_every_step_changes_nothing(road: str, rate: str) -> None:
     profile = {**FREE, "ego_control_rate": rate}
@@ -113,9 +116,16 @@ def test_looking_at_scenes_in_every_step_changes_nothing(road: str, rate: str) -
             np.testing.assert_array_equal(one, other, name)
 
 
-@pytest.mark.parametrize("road", ["merge-v0", "exit-v1", "u-turn-v0", "roundabout-v1"])
+@pytest.mark.parametrize(
+    "road",
+    [
+        *("merge-v0", "exit-v1", "u-turn-v0", "roundabout-v1"),
+        *("highway-fast-v0", "two-way-v0", "intersection-v0", "intersection-v2"),
+    ],
+)
 def test_with_meta_actions_all_vehicles_drive_exactly_as_in_the_environment(road: str) -> None:
-    theirs = Episodes(road, 6, {"simulation_frequency": 15})
+    rates = {"simulation_frequency": 15, "duration": 8.0}
+    theirs = Episodes(road, 6, {key: rates[key] for key in rates if key in DEFAULTS[road]})
     profile = {"name": "highway-env", "target_speeds_mps": theirs.actions.target_speeds.tolist()}
     ours = simulation(road, Sequence(), 6, decision_hz=1, duration_s=8.0, profile=profile)
     theirs.seed(theirs.everyone, np.arange(6, dtype=np.uint64))
@@ -132,6 +142,70 @@ def test_with_meta_actions_all_vehicles_drive_exactly_as_in_the_environment(road
                 on_network(ours)[name][running], theirs.scenes.vehicles[name][running], name
             )
     assert ours.steps.sum() > 20
+
+
+class Steering(Policy):
+    """Keeps its speed and steers to the left and to the right in turn."""
+
+    decision_hz = 5.0
+    memory_width = 1
+    actions = "continuous"
+
+    def decide(self, observations: Any, *given: Any) -> Any:
+        memory = given[0]
+        steering = 0.02 * (-1.0) ** memory[:, 0]
+        return np.stack((np.zeros(steering.size), steering), axis=1), memory + 1
+
+
+@pytest.mark.parametrize("road", ["racetrack-v0", "racetrack-large-v1", "racetrack-oval-v0"])
+def test_with_steering_all_vehicles_drive_exactly_as_on_the_racetrack(road: str) -> None:
+    theirs = Episodes(road, 6)
+    profile = {"name": "highway-env"}
+    ours = simulation(road, Steering(), 6, decision_hz=5, duration_s=4.0, profile=profile)
+    theirs.seed(theirs.everyone, np.arange(6, dtype=np.uint64))
+    theirs.start(theirs.everyone)
+    for step in range(20):
+        running = ours.scene.active.copy()
+        ours.step()
+        theirs.step(np.full((6, 1), 0.02 * (-1.0) ** step))
+        for name in ("x", "y", "heading", "speed", "lane", "crashed"):
+            np.testing.assert_array_equal(
+                on_network(ours)[name][running], theirs.scenes.vehicles[name][running], name
+            )
+    assert ours.steps.sum() > 60
+
+
+def test_vehicles_that_enter_an_intersection_have_numbers_and_drivers_of_their_own() -> None:
+    made = simulation("intersection-v0", "idm_mobil", 20, Mixture({"human": 0.5, "charms": 0.5}))
+    numbers: list[set[int]] = [set() for _ in range(20)]
+    places = made.settings.vehicles
+    drivers = set()
+    for _ in range(39):
+        made.step()
+        state = made.engine.state
+        entered = state.present & (state.entry >= places) & state.active[:, None]
+        drivers |= set(made.drivers[entered])
+        for b in range(20):
+            there = state.entry[b, state.present[b]]
+            assert np.unique(there).size == there.size
+            numbers[b] |= set(there[there >= places].tolist())
+    for found in numbers:
+        assert found <= set(range(places, places + len(found)))  # none is left out
+    assert max(map(len, numbers)) > 3
+    assert drivers == {"human", "charms"}
+
+
+def test_the_goal_of_a_racetrack_is_a_lap() -> None:
+    made = simulation("racetrack-oval-v0", "idm_mobil", 10, duration_s=120.0)
+    start = made.scene.x[:, 0].copy()
+    while made.scene.active.any():
+        made.step()
+    assert (made.ending == GOAL).all()
+    # Two straights of 101 and 105 m, two of 30 m, and four quarters of circles of 15 to 30 m; the
+    # ego starts 20 to 50 m behind the beginning of its road.
+    least = 100 + 105 + 2 * 30 + np.pi / 2 * (20 + 15 + 15 + 20) - 50
+    assert (made.scene.x[:, 0] - start >= least - 20).all()
+    assert (made.scene.x[:, 0] - start <= least + 4 * np.pi / 2 * 10 + 60).all()
 
 
 def test_on_a_motorway_x_and_y_are_those_of_the_road() -> None:
@@ -179,7 +253,7 @@ def test_the_leader_is_the_vehicle_ahead_along_the_ring() -> None:
     assert found > 5
 
 
-@pytest.mark.parametrize("road", OF_SUITES)
+@pytest.mark.parametrize("road", [each for each in OF_SUITES if "highway" not in each])
 def test_idm_mobil_reaches_the_goal_of_every_road(road: str) -> None:
     made = simulation(road, "idm_mobil", 40, duration_s=60.0)
     while made.scene.active.any():
@@ -197,14 +271,14 @@ def test_an_ego_that_takes_the_exit_is_on_the_ramp() -> None:
     assert ego["y"].min() > 22.0
 
 
-def suite(agent: str, road: str, drivers: str = "", **profile: object) -> Suite:
-    traffic = {"road": road, **({"drivers": drivers} if drivers else {})}
+def suite(agent: str, *roads: str, traffic: str = "environment", **profile: object) -> Suite:
     return Suite.model_validate(
         {
             "suite": "roads",
             "episodes": 2,
             "scene": {"profile": {"name": "charms", **profile}},
             "egos": [{"agent": agent}],
+            "roads": roads,
             "traffic_models": [{"traffic": traffic}],
         }
     )
@@ -223,10 +297,8 @@ def test_a_planner_is_rejected_by_name() -> None:
 
 
 def test_a_planner_is_rejected_once_for_several_roads() -> None:
-    roads = [suite("mpc", road).traffics[0] for road in ("merge-v0", "u-turn-v0")]
-    both = suite("mpc", "merge-v0").model_copy(update={"traffics": tuple(roads)})
     with pytest.raises(SuiteError, match=r"copies of a straight road \(also mpc in u-t") as raised:
-        plan(both, "batched")
+        plan(suite("mpc", "merge-v0", "u-turn-v0"), "batched")
     assert not hasattr(raised.value, "__notes__")
 
 
@@ -240,7 +312,7 @@ MIXED = Mixture({"human": 0.5, "charms": 0.5})
 
 
 @pytest.mark.parametrize("traffic", [OneAgent(PRESCRIBED), HUMANS, MIXED])
-@pytest.mark.parametrize("road", ["merge-v0", "roundabout-v0"])
+@pytest.mark.parametrize("road", ["merge-v0", "roundabout-v0", "intersection-v2"])
 def test_a_restored_state_continues_exactly(road: str, traffic: Traffic) -> None:
     one, other = (simulation(road, "charms", 8, traffic) for _ in range(2))
     for _ in range(10):
@@ -283,10 +355,8 @@ def test_a_state_is_not_saved_to_a_file(tmp_path: Path) -> None:
     assert not any(tmp_path.iterdir())
 
 
-def test_without_drivers_the_traffic_is_that_of_the_environment() -> None:
-    spec = TrafficSpec.model_validate({"road": "merge-v0"})
-    assert spec.make().agents == (PRESCRIBED,)
-    assert "drivers" not in spec.model_dump(mode="json")
+def test_the_traffic_of_the_environment_is_driven_by_no_agent() -> None:
+    assert TrafficSpec.model_validate("environment").make().agents == (PRESCRIBED,)
 
 
 @pytest.mark.parametrize("traffic", [HUMANS, OneAgent("idm_mobil"), OneAgent("stackelberg")])
@@ -348,13 +418,5 @@ def test_on_a_motorway_the_views_of_two_vehicles_differ_by_a_shift_along_it() ->
 def test_a_driver_of_the_traffic_that_is_too_fast_is_rejected_by_name() -> None:
     what = "agent 'charms' cannot drive on the road 'u-turn-v0': .*slowest vehicle wants"
     with pytest.raises(SuiteError, match=what):
-        plan(suite("idm_mobil", "u-turn-v0", drivers="charms"), "batched")
-    assert plan(suite("idm_mobil", "merge-v0", drivers="pch"), "batched")
-
-
-@pytest.mark.parametrize(
-    "given", [{"drivers": "human"}, {"road": "merge-v0", "drivers": {"road": "exit-v0"}}]
-)
-def test_drivers_are_those_of_a_road(given: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match=r"road|drivers"):
-        TrafficSpec.model_validate(given)
+        plan(suite("idm_mobil", "u-turn-v0", traffic="charms"), "batched")
+    assert plan(suite("idm_mobil", "merge-v0", traffic="pch"), "batched")

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -46,7 +47,8 @@ suite: merges
 scene:
   profile: {name: charms, speed_min_mps: 0.0, target_speed_min_mps: 0.0}
 egos: [{agent: idm_mobil}]
-traffic_models: [{traffic: {road: merge-v0}}, {traffic: {road: exit-v1, drivers: idm_mobil}}]
+roads: [merge-v0, exit-v1]
+traffic_models: [{traffic: environment}, {traffic: idm_mobil}]
 """
 
 
@@ -74,6 +76,7 @@ def test_a_suite_on_roads_runs(environment: dict[str, str], tmp_path: Path) -> N
     suite.write_text(SUITE)
     options = ["--episodes", "2", "--workers", "1", "--json", "--output", str(tmp_path / "run")]
     printed = output_of(environment, "-m", "charms_bench", "run", str(suite), *options)
-    assert {row["traffic"] for row in json.loads(printed)} == {"merge-v0", "exit-v1, idm_mobil"}
+    places = {(row["road"], row["traffic"]) for row in json.loads(printed)}
+    assert places == {*product(("merge-v0", "exit-v1"), ("environment", "idm_mobil"))}
     manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
     assert "highway-env" not in manifest["versions"]

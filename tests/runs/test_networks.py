@@ -20,6 +20,7 @@ from charms_bench.runs.pairing import pairs_of
 from charms_bench.runs.runner import plan, run
 from charms_bench.runs.shard import ShardFiles, simulate
 from charms_bench.runs.suite import Suite
+from charms_bench.runs.suite_roads import RoadEntry
 from charms_bench.world.scene import SceneSettings
 
 NetworkFile = Callable[..., Path]
@@ -125,10 +126,11 @@ def test_a_network_of_kinematics_is_refused_on_a_road(
 ) -> None:
     network = network_file(np.zeros((25, 5)), metadata={"observation": '{"type": "Kinematics"}'})
     for ego, traffic in ((network.name, "idm_mobil"), ("idm_mobil", network.name)):
-        suite = suite_of(tmp_path, {"road": "merge-v0", "drivers": traffic}, ego)
+        suite = suite_of(tmp_path, traffic, ego)
         scene = SceneSettings.model_validate({"profile": {"name": "charms", **SLOW}})
+        changes = {"scene": scene, "roads": (RoadEntry(name="merge-v0"),)}
         with pytest.raises(InputError, match="receives on this road neither the ranges nor"):
-            run(suite.model_copy(update={"scene": scene}), tmp_path / "run", workers=1)
+            run(suite.model_copy(update=changes), tmp_path / "run", workers=1)
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -1,5 +1,7 @@
 """Suites on highway-env's roads: rows, tables, resumed runs and replays."""
 
+import json
+import shutil
 from collections.abc import Callable, Generator
 from html import unescape
 from pathlib import Path
@@ -8,6 +10,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pydantic import ValidationError
 from scenes import scene_of
 
@@ -20,15 +24,16 @@ from charms_bench.engine.collision_kinds import (
     note_collisions,
 )
 from charms_bench.engine.collision_kinds import SIDE_COLLISION as SIDE
-from charms_bench.errors import InputError
+from charms_bench.errors import InputError, RunFolderError, SuiteError
 from charms_bench.metrics import ROADS
 from charms_bench.people.population import read_population
-from charms_bench.plugins.specs import TrafficSpec
+from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.settings import on_road
 from charms_bench.runs.likeness import standard
 from charms_bench.runs.runner import run
-from charms_bench.runs.suite import Suite
+from charms_bench.runs.suite import Suite, load_suite
 from charms_bench.testing.verify import cases_of
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scene import SceneSettings
 
 TEXT = """
@@ -37,13 +42,13 @@ episodes: 3
 scene:
   profile: {name: charms, speed_min_mps: 0.0, target_speed_min_mps: 0.0}
 egos: [{agent: idm_mobil}, {agent: charms}]
-traffic_models:
-  - traffic: {road: merge-v0}
-  - traffic: {road: u-turn-v1}
-    label: Bend
-  - traffic: {road: merge-v0, drivers: {mixture: {human: 0.5, charms: 0.5}}}
+roads: [merge-v0, {name: u-turn-v1, label: Bend}]
+traffic_models: [{traffic: environment}, {traffic: {mixture: {human: 0.5, charms: 0.5}}}]
 columns: [goal_reached, time_to_goal, entry_lag_gap]
 """
+
+
+BEND = {"ego": "charms", "road": "Bend", "traffic": "environment"}
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +61,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 def test_tables_have_the_goals_of_every_ego_on_every_road(made: Any) -> None:
     table = made.table.frame().filter(pl.col("metric") == "goal_reached")
-    assert table["traffic"].to_list() == ["merge-v0", "Bend", "merge-v0, human + charms"] * 2
+    assert table["road"].to_list() == ["merge-v0", "merge-v0", "Bend", "Bend"] * 2
+    assert table["traffic"].to_list() == ["environment", "human + charms"] * 4
     assert table["value"].is_between(0, 1).all()
     reached = (made.episodes["ending"] == "goal").sum()
     assert table["value"].sum() * 3 == pytest.approx(reached)
@@ -65,7 +71,7 @@ def test_tables_have_the_goals_of_every_ego_on_every_road(made: Any) -> None:
 
 def test_a_straight_road_has_no_goal_to_reach() -> None:
     reached = next(each for each in ROADS.metrics if each.name == "goal_reached")
-    rows = pl.DataFrame({"ending": ["time", "time", "goal"], "traffic_vehicles": [9, None, None]})
+    rows = pl.DataFrame({"ending": ["time", "time", "goal"], "has_goal": [None, True, True]})
     sums = [row.select(*reached.sums).row(0) for row in rows.iter_slices(1)]
     values = reached.value(np.array([sums[0], np.sum(sums[1:], axis=0)], dtype=float))
     np.testing.assert_array_equal(values, [np.nan, 0.5])
@@ -89,10 +95,10 @@ def test_a_finished_run_simulates_nothing_again(made: Any) -> None:
 
 
 def test_a_replay_is_the_recorded_episode_on_the_network(made: Any, tmp_path: Path) -> None:
-    replay = made.replay(1, ego="charms", traffic="Bend")
+    replay = made.replay(1, ego="charms", road="Bend", traffic="environment")
     assert replay.plan is not None
     assert replay.plan.x.shape == replay.x.shape
-    start = made.steps.filter(agent="charms", traffic="Bend", episode=1, step=1)
+    start = made.steps.filter(agent="charms", road="Bend", traffic="environment", episode=1, step=1)
     frame = replay.frame_of(1)
     assert replay.x[frame, 0] == pytest.approx(start["x"][0], rel=1e-6)
     # The u-turn begins at (0, 44) and leads to larger x.
@@ -111,11 +117,15 @@ def test_an_episode_that_ends_at_the_goal_is_not_a_collision(made: Any) -> None:
     assert "goal" not in {case.ending for case in listed}
 
 
-@pytest.mark.parametrize(("traffic", "vehicle"), [("Bend", None), ("merge-v0, human + charms", 1)])
+@pytest.mark.parametrize(
+    ("road", "traffic", "vehicle"),
+    [("Bend", "environment", None), ("merge-v0", "human + charms", 1)],
+)
 def test_what_if_changes_nothing_before_its_decision(
-    made: Any, traffic: str, vehicle: int | None
+    made: Any, road: str, traffic: str, vehicle: int | None
 ) -> None:
-    told = made.what_if(1, 3, "stackelberg", vehicle, ego="charms", traffic=traffic)
+    place = {"ego": "charms", "road": road, "traffic": traffic}
+    told = made.what_if(1, 3, "stackelberg", vehicle, **place)
     start = told.start + 1
     assert told.other.agents[vehicle or 0] == "stackelberg"
     for name in ("x", "y", "heading"):
@@ -126,14 +136,14 @@ def test_what_if_changes_nothing_before_its_decision(
 
 def test_a_planner_in_a_recorded_episode_is_rejected_by_the_name_of_the_road(made: Any) -> None:
     with pytest.raises(InputError, match="agent 'mpc' cannot drive on the road 'u-turn-v1'"):
-        made.what_if(1, 2, agent="mpc", ego="charms", traffic="Bend")
+        made.what_if(1, 2, agent="mpc", ego="charms", road="Bend", traffic="environment")
 
 
 @pytest.mark.parametrize(
     "describe_as_straight",
     [
-        lambda made, path: made.dataset("highd", ego="charms", traffic="Bend", output=path),
-        lambda made, path: made.replay(1, "charms", "Bend").write_commonroad(path / "a.xml"),
+        lambda made, path: made.dataset("highd", output=path, **BEND),
+        lambda made, path: made.replay(1, **BEND).write_commonroad(path / "a.xml"),
         lambda made, path: cases_of(made.suite),
         lambda made, path: rare(made.path.parent / "roads.yaml", output=path),
         lambda made, path: standard(made.suite, path, read_population("i75")),
@@ -142,7 +152,7 @@ def test_a_planner_in_a_recorded_episode_is_rejected_by_the_name_of_the_road(mad
 def test_what_knows_only_the_straight_road_rejects_others(
     made: Any, tmp_path: Path, describe_as_straight: Callable[[Any, Path], object]
 ) -> None:
-    with pytest.raises(InputError, match=r"the straight road, not `road: (merge-v0|u-turn-v1)`"):
+    with pytest.raises(InputError, match=r"straight road, not the road '(merge-v0|u-turn-v1)'"):
         describe_as_straight(made, tmp_path / "new")
     assert not list(tmp_path.glob("*.xml"))
 
@@ -154,15 +164,15 @@ def test_rows_do_not_depend_on_the_number_of_workers(made: Any, tmp_path: Path) 
 
 
 def test_the_vehicle_from_the_ramp_is_measured_on_merges_only(made: Any) -> None:
-    rows = made.episodes.with_columns(is_bend=pl.col("traffic") == "Bend")
+    rows = made.episodes.with_columns(is_bend=pl.col("road") == "Bend")
     entries = rows.filter(~pl.col("is_bend"))
-    assert rows.filter("is_bend")["entry_lag_gap_m"].null_count() == 6
+    assert rows.filter("is_bend")["entry_lag_gap_m"].null_count() == 12
     assert entries["entry_lag_gap_m"].null_count() < len(entries)
     assert entries["entry_lag_gap_m"].drop_nulls().is_between(0, 100).all()
 
 
 def test_trajectories_are_those_of_all_vehicles_on_the_network(made: Any) -> None:
-    replay = made.replay(1, ego="charms", traffic="merge-v0")
+    replay = made.replay(1, ego="charms", road="merge-v0", traffic="environment")
     there = replay.plan.present.copy()
     rows = replay.trajectories()
     np.testing.assert_array_equal(replay.plan.present, there)
@@ -209,7 +219,7 @@ def test_the_report_does_not_say_that_a_road_has_the_lanes_of_the_scene(made: An
 
 def test_the_time_to_the_goal_counts_episodes_with_the_goal_only() -> None:
     rows = {"episode": [0, 1, 2], "ending": ["goal", "time", "goal"], "steps": [3, 9, 6]}
-    on_roads = {"traffic_vehicles": pl.Series([None] * 3, dtype=pl.Int64)}
+    on_roads = {"has_goal": [True] * 3}
     episodes = pl.DataFrame({**rows, "duration_s": [1.0, 3.0, 2.0], **on_roads})
     reached, time = ROADS.metrics[:2]
     sums = episodes.group_by("episode", maintain_order=True).agg(
@@ -233,16 +243,157 @@ def test_suites_without_roads_keep_their_fingerprint() -> None:
             "traffic_models": [{"traffic": "idm_mobil"}],
         }
     )
-    assert "road" not in suite.model_dump(mode="json")["traffics"][0]["traffic"]
+    assert "roads" not in suite.model_dump(mode="json")
     assert "network" not in suite.model_dump(mode="json")["scene"]
 
 
 @pytest.mark.parametrize("field", ["lanes", "traffic_vehicles", "density", "ego_slots"])
 def test_a_scene_says_nothing_that_a_road_decides(field: str) -> None:
     with pytest.raises(InputError, match=f"merge-v0.*remove scene.{field}"):
-        on_road(SceneSettings.model_validate({field: 7}), "merge-v0")
+        on_road(SceneSettings.model_validate({field: 7}), NamedRoad(name="merge-v0"))
 
 
-def test_a_road_has_no_options() -> None:
-    with pytest.raises(ValidationError, match="a road has none"):
-        TrafficSpec.model_validate({"road": "merge-v0", "options": {"a": 1}})
+def parsed(**keys: object) -> Suite:
+    given = {"suite": "s", "episodes": 1, "egos": [{"agent": "idm_mobil"}], **keys}
+    return Suite.model_validate(given)
+
+
+def test_a_road_as_a_traffic_model_says_what_to_write(tmp_path: Path) -> None:
+    old = """traffic_models:
+  - traffic: {road: merge-v0}
+  - traffic: {road: u-turn-v1}
+    label: Bend
+  - traffic: {road: merge-v0, drivers: human}
+"""
+    path = tmp_path / "old.yaml"
+    path.write_text(f"suite: old\nepisodes: 1\negos: [{{agent: idm_mobil}}]\n{old}")
+    with pytest.raises(SuiteError) as raised:
+        load_suite(path)
+    where, *lines, what = str(raised.value).splitlines()
+    assert where.startswith(f"{path}:5: traffic_models[0].traffic.road: a road is no traffic model")
+    assert what == "which is every road in every traffic model; use several suites for fewer cells"
+    path.write_text(path.read_text().replace(old, "\n".join(lines)))
+    titles = [each.title for each in load_suite(path).surroundings]
+    assert titles == ["merge-v0", "merge-v0, human", "Bend", "Bend, human"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "durations_s"),
+    [
+        ({"scene": {"duration_s": 45.0}}, [45.0, 45.0, 7.0]),
+        ({}, [20.0, 10.0, 7.0]),  # a merge has no end, a u-turn lasts 10 s
+    ],
+)
+def test_an_episode_is_as_long_as_the_road_says(
+    keys: dict[str, object], durations_s: list[float]
+) -> None:
+    roads = ["merge-v0", "u-turn-v0", {"name": "exit-v0", "duration_s": 7.0}]
+    suite = parsed(roads=roads, **keys)
+    again = Suite.model_validate(suite.model_dump(mode="json"))
+    for each in (suite, again):
+        assert [cell.scene.duration_s for cell in each.cells] == durations_s
+
+
+def test_a_road_has_its_configuration() -> None:
+    wide = {"name": "merge-generic-v1", "configuration": {"lanes_count": 5}, "label": "Wide"}
+    narrow, wider = parsed(roads=["merge-generic-v1", wide]).cells
+    assert (narrow.scene.lanes, wider.scene.lanes) == (2 + 1, 5 + 1)  # with the ramp
+    assert [each.surroundings.title for each in (narrow, wider)] == ["merge-generic-v1", "Wide"]
+
+
+@pytest.mark.parametrize(
+    ("roads", "what"),
+    [
+        (["merge-v0", "merge-v0"], "two roads are called 'merge-v0'; give them different labels"),
+        (["merge-v9"], r":4: roads\[0\]: no road named 'merge-v9'.*Did you mean 'merge-v"),
+        (
+            [{"name": "merge-generic-v0", "configuration": {"lanes": 3}}],
+            r":4: roads\[0\]: configuration: no key named 'lanes'",
+        ),
+        (
+            [{"name": "exit-v0", "configuration": {"duration": 9}}],
+            "configuration.duration: give duration_s beside the road's name",
+        ),
+        (
+            [{"name": "intersection-v0", "configuration": {"controlled_vehicles": 2}}],
+            "configuration.controlled_vehicles: a suite has one ego",
+        ),
+        (["intersection-multi-agent-v0"], "no road named 'intersection-multi-agent-v0'"),
+    ],
+)
+def test_a_road_that_cannot_be_is_one_message(tmp_path: Path, roads: object, what: str) -> None:
+    path = tmp_path / "suite.yaml"
+    path.write_text(
+        f"suite: s\nepisodes: 1\negos: [{{agent: idm_mobil}}]\nroads: {json.dumps(roads)}"
+    )
+    with pytest.raises(SuiteError, match=what):
+        load_suite(path)
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=4,
+)
+
+
+def problem_of(road: dict[str, Any]) -> str:
+    """What is wrong with a road; if nothing is, what it has."""
+    try:
+        return repr(on_road(SceneSettings(), NamedRoad.model_validate(road)).network)
+    except (InputError, ValidationError) as error:
+        return str(error)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    name=st.sampled_from(["merge-generic-v1", "roundabout-generic-v0", "racetrack-oval-v0"]),
+    drawn=st.data(),
+)
+def test_any_configuration_is_a_road_or_one_message(name: str, drawn: st.DataObject) -> None:
+    keys = st.sampled_from(sorted(DEFAULTS[name]))
+    configuration = drawn.draw(st.dictionaries(keys, VALUES, min_size=1, max_size=2))
+    assert "configuration" in problem_of({"name": name, "configuration": configuration})
+
+
+@pytest.mark.parametrize(
+    ("keys", "what"),
+    [
+        ({"traffic_models": [{"traffic": "environment"}]}, "`environment` is that of `roads`"),
+        ({"scene": {"road": "merge-v0"}}, "give it as one of the suite's `roads`"),
+    ],
+)
+def test_only_roads_have_an_environment(keys: dict[str, object], what: str) -> None:
+    with pytest.raises(ValidationError, match=what):
+        parsed(**keys)
+
+
+def test_pairs_of_egos_are_those_on_the_same_road(made: Any, tmp_path: Path) -> None:
+    text = TEXT.replace("  - traffic: {mixture", "").split("traffic_models")[0] + "pairs: true\n"
+    path = tmp_path / "pairs.yaml"
+    path.write_text(text)
+    pairs = run_file(path, tmp_path / "run", workers=1).tables["small-roads-pairs"].frame()
+    assert pairs["road"].unique(maintain_order=True).to_list() == ["merge-v0", "Bend"]
+    assert set(zip(pairs["first"], pairs["second"], strict=True)) == {("idm_mobil", "charms")}
+
+
+def test_the_road_is_a_key_of_edge_cases_and_comparisons(made: Any) -> None:
+    assert {case.road for case in made.edge_cases(100, road="Bend")} == {"Bend"}
+    compared = made.compare(egos=("idm_mobil", "charms"), metrics=["speed_mean"])
+    assert [row.labels[2:4] for row in compared.rows][::2] == [
+        (road, traffic)
+        for road in ("merge-v0", "Bend")
+        for traffic in ("environment", "human + charms")
+    ]
+
+
+def test_a_folder_in_which_roads_are_traffic_says_how_to_make_it_again(
+    made: Any, tmp_path: Path
+) -> None:
+    old = shutil.copytree(made.path, tmp_path / "old")
+    manifest = json.loads((old / "manifest.json").read_text())
+    del manifest["suite"]["roads"]
+    manifest["suite"]["traffics"] = [{"traffic": {"road": "merge-v0"}, "label": None}]
+    (old / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(RunFolderError, match=f"`charms-bench run small-roads --output {old}-2` m"):
+        open_run(old)

@@ -299,9 +299,9 @@ def test_a_run_of_which_every_cell_fails_has_no_rows(tmp_path: Path) -> None:
     assert [note[:5] for note in raised.value.__notes__] == ["Again"]
 
 
-def test_a_planner_that_cannot_drive_on_a_road_drives_the_other_cells() -> None:
-    traffics = [{"traffic": {"road": "merge-v0"}, "label": "Merge"}, {"traffic": "idm_mobil"}]
-    made = suite(egos=[{"agent": "mpc"}], traffic_models=traffics, scene={"duration_s": 1.0})
+def test_a_planner_that_cannot_drive_on_a_road_leaves_the_other_cells() -> None:
+    egos = [{"agent": "mpc"}, {"agent": "idm_mobil"}]
+    made = suite(egos=egos, roads=["merge-v0"], scene={"duration_s": 1.0})
     failed: dict[int, CharmsBenchError] = {}
     assert {shard.cell for shard in plan(made, "batched", failed)} == {1}
     assert "plans on copies of a straight road" in str(failed[0])

@@ -73,7 +73,7 @@ SCENARIO = {
     [
         ({}, "standard-5"),
         ({"traffic_models": [{"traffic": {"scenario": SCENARIO}}]}, "standard-5(warm_up_s=0)"),
-        ({"traffic_models": [{"traffic": {"road": "merge-v0"}}]}, "standard-5(warm_up_s=0)"),
+        ({"roads": ["merge-v0"]}, "standard-5(warm_up_s=0)"),
         ({"warm_up_s": 1.5}, "standard-5(warm_up_s=1.5)"),
     ],
 )

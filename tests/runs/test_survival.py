@@ -44,7 +44,8 @@ suite: survivor
 episodes: EPISODES
 scene: {duration_s: 3, profile: {name: charms, target_speed_min_mps: 0.0}}
 egos: [{agent: idm_mobil}]
-traffic_models: [{traffic: {road: merge-v1, drivers: {mixture: {human: 0.5, charms: 0.5}}}}]
+roads: [intersection-v2]
+traffic_models: [{traffic: {mixture: {human: 0.5, charms: 0.5}}}]
 """
 SMALL_SHARDS = """\
 import signal

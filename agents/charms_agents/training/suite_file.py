@@ -94,7 +94,7 @@ def _check_name(
 
 
 def _check_conditions(document: Document, suite: TrainingSuite, name: str) -> None:
-    """Refuses roads, other steps of the target speed, and scenarios that cannot be placed."""
+    """Refuses other steps of the target speed, and scenarios that cannot be placed."""
     stage = suite.stages[name]
     named: list[tuple[Location, Condition]] = [
         (("conditions", each, index), condition)
@@ -103,10 +103,6 @@ def _check_conditions(document: Document, suite: TrainingSuite, name: str) -> No
     ]
     for at, condition in named or [(("stages", name), Condition())]:
         traffic, scene = condition.traffic or stage.traffic, condition.applied(stage.scene)
-        if traffic.road is not None:
-            raise document.error(
-                (*at, "traffic", "road"), "networks learn on the straight road; remove the road"
-            )
         steps, expected = (each.profile.target_speed_steps_mps for each in (scene, stage.scene))
         if steps != expected:
             what = f"{[*steps]}; expected those of the stage '{name}', {[*expected]}"

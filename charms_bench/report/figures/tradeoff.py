@@ -19,7 +19,8 @@ from charms_bench.report.figures.drawing import (
     take_text_as_it_is,
 )
 from charms_bench.report.number import Number
-from charms_bench.report.table import Table
+from charms_bench.report.table import Row, Table
+from charms_bench.runs.cells import title_of
 from charms_bench.runs.suite import Suite
 
 TICKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
@@ -80,11 +81,12 @@ def draw_tradeoff(
     for row in table.rows if places else ():
         x, y = (row.numbers[i] for i in places or ())
         if x.value is not None and y.value is not None:
-            name, group = row.labels[tradeoff.named], row.labels[1 - tradeoff.named]
+            labels = _labels(row)
+            name, group = labels[tradeoff.named], labels[1 - tradeoff.named]
             groups.setdefault(group, []).append((name, x, y))
             found_parts = [row.numbers[i].value for i in part]
             parts.setdefault(group, []).extend((x.value, v) for v in found_parts if v is not None)
-    names = list(dict.fromkeys(row.labels[tradeoff.named] for row in table.rows))
+    names = list(dict.fromkeys(_labels(row)[tradeoff.named] for row in table.rows))
     is_numbered = is_narrow or len(groups) > 1
     below = 0.2 * (len(names) + len(groups)) if is_narrow else 0.0
     figure, (axes,) = panels(1, size[0], size[1] + below)
@@ -124,6 +126,11 @@ def draw_tradeoff(
         figure.draw_without_rendering()  # only then is it known where points are
     _place(texts)
     return figure
+
+
+def _labels(row: Row) -> tuple[str, str]:
+    """The ego, and the traffic model with its road."""
+    return row.labels[0], title_of(row.labels[1:])
 
 
 def _place(texts: list[Annotation]) -> None:

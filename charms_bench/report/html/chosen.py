@@ -10,7 +10,7 @@ from charms_bench.episodes.edge_cases import ranked
 from charms_bench.episodes.recorded_cell import RecordedCell, find_cell, find_cells
 from charms_bench.episodes.replay import Replay, replay
 from charms_bench.episodes.what_if import WhatIf, what_if
-from charms_bench.errors import InputError, RunFolderError
+from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.report.html.sources import Evaluation
 from charms_bench.report.sentences import CRASHED
 
@@ -39,8 +39,15 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Place:
     except ValueError as error:
         raise InputError(f"{expected}, EPISODE a number; found '{seed}'") from error
     ego, traffic = [*titles, None, None][:2]
-    how = f"--episode {run.key}:{seed}:EGO:TRAFFIC"
-    return list(runs).index(run), find_cell(run.run, Path(), ego, traffic, how).index, episode
+    road, suite = None, run.run.suite
+    if suite.roads and traffic is not None:
+        known = {each.title: each for each in suite.surroundings}
+        if traffic not in known:
+            raise InputError(f"{expected}; no '{traffic}'. {suggestion(traffic, known)}")
+        road, traffic = (each.title for each in known[traffic] if each is not None)
+    how = f"--episode {run.key}:{seed}:EGO:{'ROAD, ' * bool(suite.roads)}TRAFFIC"
+    found = find_cell(run.run, Path(), ego, traffic, road, how)
+    return list(runs).index(run), found.index, episode
 
 
 def _names(run: Evaluation) -> tuple[str, ...]:
@@ -87,11 +94,11 @@ def _beside(runs: Sequence[Evaluation], place: Place) -> Place | None:
     index, cell, seed = place
     cells, metrics = runs[index].run.suite.cells, runs[index].tables.metrics
     column = metrics.places(CRASHED)
-    rates = {row.labels[:2]: row.numbers[column[0]].value for row in metrics.rows if column}
+    rates = {row.labels: row.numbers[column[0]].value for row in metrics.rows if column}
     ranked = [
-        (rates.get((each.ego.title, each.traffic.title)) or 0.0, other)
+        (rates.get(each.labels) or 0.0, other)
         for other, each in enumerate(cells)
-        if other != cell and each.traffic is cells[cell].traffic
+        if other != cell and each.surroundings == cells[cell].surroundings
     ]
     return (index, min(ranked)[1], seed) if ranked else None
 

@@ -30,7 +30,7 @@ def for_page(
     return {
         "id": name,
         "ego": replay.cell.ego.title,
-        "traffic": replay.cell.traffic.title,
+        "surroundings": replay.cell.surroundings.title,
         "episode": replay.episode,
         "criticality": f"{measured['criticality'].item():z.2f}",
         "what": what_happened(replay, since=since),

@@ -53,8 +53,8 @@ def write_report(
     others_packed = {name: pack(each, ego_view(each)) for name, _, each in more}
     packed = {each["id"]: each["packed"] for each in shown} | others_packed
     for name, (index, _, seed), each in (*chosen, *more):
-        traffic = runs[index].run.suite.traffics.index(each.cell.traffic)
-        packed[name] |= {"title": each.cell.title, "scene": [index, traffic, seed]}
+        place = runs[index].run.suite.surroundings.index(each.cell.surroundings)
+        packed[name] |= {"title": each.cell.title, "scene": [index, place, seed]}
     sections = [section_of(source, suite_folder) for source in sources]
     sections += [what_if_section(each, f"what-if-{name}") for name, each in others.items()]
     page = render(

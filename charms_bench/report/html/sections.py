@@ -98,11 +98,12 @@ def _of_evaluation(source: Evaluation, folder: Path) -> Section:
     more += [] if tables.pairs is None else [tables.pairs]
     if tables.drivers is not None:
         more += tables.drivers.without_constant_keys().blocks(COLUMNS)
+    where = f"{counted(len(suite.egos), 'ego')} in {counted(len(suite.surroundings), place(suite))}"
     return Section(
         id=f"run-{source.key}",
         title=suite.title or suite.suite,
         facts=(
-            f"{counted(len(suite.egos), 'ego')} in {counted(len(suite.traffics), place(suite))}",
+            where,
             f"{counted(suite.episodes, 'episode')} each, seeds {suite.seed:,} to {last:,}",
             _scenes(suite),
             f"{scene.duration_s:g} s per episode",
@@ -121,7 +122,7 @@ def _scenes(suite: Suite) -> str:
     scene = suite.scene
     if place(suite) == "scenario":
         return f"{counted(scene.lanes, 'lane')}, vehicles placed by scenarios"
-    if all(each.traffic.road for each in suite.traffics):
+    if suite.roads:
         return "highway-env's roads and vehicles"
     vehicles = counted(scene.vehicles, "vehicle")
     return f"{counted(scene.lanes, 'lane')}, {vehicles}, density {scene.density:g}"

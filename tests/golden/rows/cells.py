@@ -21,6 +21,8 @@ SUITES = {
 }
 """The suites by their path in the folder `suites`, and those of this folder."""
 SUITES |= {path.stem: path for path in sorted(Path(__file__).parent.glob("*.yaml"))}
+PARTS = {"roads": ("roads", "roads-traffic")}
+"""The suites that have the cells recorded as those of one."""
 EPISODES = 20
 SHOWN = 2
 """Episodes that `shown` describes."""
@@ -30,7 +32,7 @@ NETWORKS = [
 ]
 """Of this project; they stand in for those of the paper's authors."""
 Row = dict[str, str]
-"""Text by name: the ego and the traffic model of a cell, what is shown of it, and hashes."""
+"""Text by name: the ego of a cell, its road and traffic model, what is shown of it, and hashes."""
 
 
 def rows_of(
@@ -40,11 +42,12 @@ def rows_of(
 
     `folder` is empty and for files that the checkout lacks.
     """
-    suite = with_stand_ins(name, folder).model_copy(update={"episodes": EPISODES})
-    for index, cell in enumerate(suite.cells):
-        ego, traffic = cell.ego.title, cell.traffic.title
-        if cells is None or (ego, traffic) in cells:
-            yield {"ego": ego, "traffic": traffic} | simulated(suite, index)
+    for part in PARTS.get(name, (name,)):
+        suite = with_stand_ins(part, folder).model_copy(update={"episodes": EPISODES})
+        for index, cell in enumerate(suite.cells):
+            ego, traffic = cell.ego.title, cell.surroundings.title
+            if cells is None or (ego, traffic) in cells:
+                yield {"ego": ego, "traffic": traffic} | simulated(suite, index)
 
 
 def simulated(suite: Suite, index: int) -> Row:

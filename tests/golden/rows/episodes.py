@@ -60,8 +60,9 @@ def replays(folder: Path) -> Values:
 
 @case("replay on a road")
 def road_replay(folder: Path) -> Values:
-    suite = load_suite(PROJECT / "suites" / "roads.yaml")
-    entries = {"egos": suite.egos[1:2], "traffics": suite.traffics[14:15], "episodes": 2}
+    suite = load_suite(PROJECT / "suites" / "roads-traffic.yaml")
+    entries = {"egos": suite.egos[1:2], "roads": suite.roads[:1], "traffics": suite.traffics[2:]}
+    entries |= {"episodes": 2}
     return trajectories(replay(looked_at(suite.model_copy(update=entries), folder), [0, 1]))
 
 
@@ -80,7 +81,8 @@ def avoidable(folder: Path) -> Values:
     cell = looked_at(CROWDED, folder)
     agents = ["idm_mobil", "stackelberg", "charms"]
     found = avoidability(cell, collisions(cell)[:3], agents=agents)
-    return {"collisions": [json.loads(json.dumps(asdict(each))) for each in found]}
+    records = (json.loads(json.dumps(asdict(each))) for each in found)
+    return {"collisions": [{k: each[k] for k in each if k != "road"} for each in records]}
 
 
 TRUCKS = [

@@ -168,11 +168,11 @@ def recorded_state(folder: Path) -> Values:
     return continued(lambda: simulation_of(suite.scene, "stackelberg", traffic))
 
 
-for number, title in ((12, "a merge"), (15, "an exit")):
+for number, title in ((0, "a merge"), (4, "an exit")):
 
     @case(f"state on {title}")
     def road_state(folder: Path, number: int = number) -> Values:
-        cell = load_suite(PROJECT / "suites" / "roads.yaml").cells[number]
+        cell = load_suite(PROJECT / "suites" / "roads-traffic.yaml").cells[number]
         traffic = cell.traffic.traffic.make()
         return continued(lambda: simulation_of(cell.scene, "human", traffic, 3))
 

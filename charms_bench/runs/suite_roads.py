@@ -1,0 +1,84 @@
+"""The roads of a suite: highway-env's, each with a configuration and an episode's duration."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import yaml
+from pydantic import ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from charms_bench.foundation.fields import UNLESS_EMPTY, Name, Positive
+from charms_bench.world.named_road import ENVIRONMENT, NamedRoad
+
+
+class RoadEntry(NamedRoad):
+    """A road of the suite; a plain text is its name."""
+
+    duration_s: Annotated[Positive | None, UNLESS_EMPTY] = None
+    """Duration of an episode, unless it ends before. By default, it is `scene.duration_s`, and
+    without that, the duration of the environment."""
+    label: Name | None = None
+    """Its name in tables; by default highway-env's."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, value: object) -> object:
+        return {"name": value} if isinstance(value, str) else value
+
+    @property
+    def title(self) -> str:
+        """Its name in tables."""
+        return self.label or self.name
+
+    @property
+    def road(self) -> NamedRoad:
+        """The road itself."""
+        return NamedRoad(name=self.name, configuration=self.configuration)
+
+
+def with_own_duration(road: Any) -> Any:
+    """A road as a suite gives it, with the duration of its environment if it has none."""
+    from charms_bench.roads.defaults import duration_of  # which suites without roads do not need
+
+    entry = {"name": road} if isinstance(road, str) else road
+    if not isinstance(entry, dict) or "duration_s" in entry:
+        return road
+    duration_s = duration_of(str(entry.get("name")))
+    return road if duration_s is None else {**entry, "duration_s": duration_s}
+
+
+def refuse_roads_of_traffic(model: str, key: str, entries: Any) -> None:
+    """Raises a `ValidationError` if traffic models are roads; it says how roads are written.
+
+    `entries` are those of the `key` of a `model`.
+    """
+    listed = [each if isinstance(each, dict) else {} for each in entries or ()]
+    found = [each.get("traffic") for each in listed]
+    specs = [each if isinstance(each, dict) else {} for each in found]
+    old = [k for k, spec in enumerate(specs) if "road" in spec]
+    if not old:
+        return
+    roads, traffics = [], []
+    for entry, spec in ((listed[k], specs[k]) for k in old):
+        names = "label" in entry and "drivers" not in spec
+        roads.append({"name": spec["road"], "label": entry["label"]} if names else spec["road"])
+        traffics.append({"traffic": spec.get("drivers", ENVIRONMENT)})
+    roads, traffics = _distinct(roads), _distinct(traffics)
+    what = f"a road is no traffic model; write instead\nroads: {_in_yaml(roads)}"
+    what += f"\ntraffic_models: {_in_yaml(traffics)}"
+    if len(roads) * len(traffics) > len(old):
+        what += "\nwhich is every road in every traffic model; use several suites for fewer cells"
+    kind = PydanticCustomError("unknown_key", "{what}", {"what": what})
+    at = (key, old[0], "traffic", "road")
+    problem = InitErrorDetails(type=kind, loc=at, input=specs[old[0]])
+    raise ValidationError.from_exception_data(model, [problem])
+
+
+def _distinct(values: Sequence[Any]) -> list[Any]:
+    """The values without those that came before."""
+    return [each for k, each in enumerate(values) if each not in values[:k]]
+
+
+def _in_yaml(value: Any) -> str:
+    """The value on a line of YAML."""
+    return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10_000).strip()
