@@ -129,10 +129,10 @@ EPISODE: Mapping[str, Column] = {
 """One row per episode. Only files of highway-env's roads have the columns `has_goal` and `entry_*`,
 and where nobody comes or goes, none has `traffic_time_s`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
-OF_ROADS = tuple(name for name in EPISODE if name.startswith("entry_"))
-TIME_OF_TRAFFIC = "traffic_time_s"
 HAS_GOAL = "has_goal"
-OPTIONAL = (TIME_OF_TRAFFIC, HAS_GOAL, *OF_ROADS)
+OF_ROADS = (HAS_GOAL, *(name for name in EPISODE if name.startswith("entry_")))
+TIME_OF_TRAFFIC = "traffic_time_s"
+OPTIONAL = (TIME_OF_TRAFFIC, *OF_ROADS)
 """The columns that not all files have."""
 
 COUNT: Mapping[str, Column] = {
