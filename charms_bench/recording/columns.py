@@ -134,11 +134,10 @@ EPISODE: Mapping[str, Column] = {
 """One row per episode. Only files of highway-env's roads have the columns `has_goal`,
 `at_fault_on_road` and `entry_*`, and where nobody comes or goes, none has `traffic_time_s`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
-ON_ROAD = "at_fault_on_road"
-OF_ROADS = (ON_ROAD, *(name for name in EPISODE if name.startswith("entry_")))
+HAS_GOAL, ON_ROAD = "has_goal", "at_fault_on_road"
+OF_ROADS = (HAS_GOAL, ON_ROAD, *(name for name in EPISODE if name.startswith("entry_")))
 TIME_OF_TRAFFIC = "traffic_time_s"
-HAS_GOAL = "has_goal"
-OPTIONAL = (TIME_OF_TRAFFIC, HAS_GOAL, *OF_ROADS)
+OPTIONAL = (TIME_OF_TRAFFIC, *OF_ROADS)
 """The columns that not all files have."""
 
 COUNT: Mapping[str, Column] = {
