@@ -16,6 +16,7 @@ from charms_bench.maps.road_map import (
     Signal,
 )
 from charms_bench.maps.sampling import lengths_of, stations
+from charms_bench.maps.shapes import points_of
 from charms_bench.world.road_network import CircularLane, StraightLane
 
 TOUCH_M = 0.5
@@ -48,7 +49,7 @@ class Draft:
     has_gaps: bool = False
     """Whether the format leaves out the lanes in junctions, so that gaps are bridged."""
     gives_way: set[tuple[str, str]] = field(default_factory=set)
-    """The pairs of lanes of which the first gives way to the second; `A->B` is the bridge of a gap."""
+    """The pairs of lanes of which the first gives way to the second; `A->B` bridges a gap."""
     signals: list[Signal] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
 
@@ -71,7 +72,7 @@ def without_repeated(points: Floats) -> Floats:
     steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
     kept = np.append(True, steps > _SAME_M)
     kept[-1] = True
-    found = points[kept]
+    found: Floats = points[kept]
     if len(found) > 2 and np.hypot(*(found[-1] - found[-2])[:2]) <= _SAME_M:
         found = np.delete(found, -2, axis=0)
     return found
@@ -185,7 +186,10 @@ def _moved(road: MapRoad, origin: tuple[float, float]) -> MapRoad:
     for lane in road.lanes:
         points = lane.points * (1, -1, 1, 1) + (-origin[0], origin[1], 0, 0)
         points = np.round(points, DECIMALS) + 0.0
-        lanes.append(replace(lane, points=points, exact=_exact(lane, points, origin)))
+        exact = _exact(lane, points, origin)
+        if isinstance(exact, CircularLane):
+            points = points_of(exact, (points[0, 2], points[-1, 2]))
+        lanes.append(replace(lane, points=points, exact=exact))
     return replace(road, lanes=tuple(lanes))
 
 
@@ -248,7 +252,7 @@ def _bridge(one: MapLane, other: MapLane, gap: float) -> MapLane:
         found = start + (end - start) * t
         found[:, :2] = start[:2] * (1 - height) + end[:2] * height
         found[:, :2] += (t * (1 - t) ** 2) * tangents[0] + (t * t * (t - 1)) * tangents[1]
-        return found[:, None, :]
+        return np.asarray(found[:, None, :])
 
     s = stations(curve, np.array([0.0, gap]))
     points = np.round(curve(s)[:, 0], DECIMALS) + 0.0
@@ -260,7 +264,7 @@ def _bridge(one: MapLane, other: MapLane, gap: float) -> MapLane:
 
 def _with_nodes(
     roads: list[MapRoad], links: Links
-) -> tuple[list[MapRoad], Links, Mapping[str, tuple[str, ...]]]:
+) -> tuple[list[MapRoad], Links, Mapping[str, tuple[str, str]]]:
     """The roads with the names of their nodes.
 
     Where two roads would have the same two nodes, whose lanes highway-env takes for neighbours, one
@@ -281,7 +285,7 @@ def _with_nodes(
     names: dict[int, str] = {}
     found: list[MapRoad] = []
     taken: set[tuple[str, str]] = set()
-    pieces: dict[str, tuple[str, ...]] = {}
+    pieces: dict[str, tuple[str, str]] = {}
     for k, road in enumerate(roads):
         start, end = (names.setdefault(find(2 * k + e), str(len(names))) for e in (0, 1))
         if (start, end) not in taken:
@@ -313,10 +317,11 @@ def _halves(lane: MapLane) -> tuple[MapLane, MapLane]:
         phase = (lane.exact.start_phase + lane.exact.end_phase) / 2
         exact = [replace(lane.exact, end_phase=phase), replace(lane.exact, start_phase=phase)]
     points = [np.vstack([lane.points[:place], middle]), np.vstack([middle, lane.points[place:]])]
+    points = [np.round(each, DECIMALS) + 0.0 for each in points]
     if isinstance(lane.exact, StraightLane):
-        exact = [_exact(lane, np.round(each, DECIMALS), (0.0, 0.0)) for each in points]
+        exact = [_exact(lane, each, (0.0, 0.0)) for each in points]
     one, other = (
-        replace(lane, id=f"{lane.id}/{k}", points=np.round(each, DECIMALS) + 0.0, exact=shape)
+        replace(lane, id=f"{lane.id}/{k}", points=each, exact=shape)
         for k, (each, shape) in enumerate(zip(points, exact, strict=True), start=1)
     )
     return one, other

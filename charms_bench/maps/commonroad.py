@@ -15,11 +15,23 @@ from charms_bench.maps.road_map import MapLane, Signal
 
 VERSIONS = ("2018b", "2020a")
 NO_CAR_LANES = frozenset(
-    ["shoulder", "busLane", "busStop", "bicycleLane", "sidewalk", "crosswalk", "border", "parking", "restricted"]
+    [
+        "shoulder",
+        "busLane",
+        "busStop",
+        "bicycleLane",
+        "sidewalk",
+        "crosswalk",
+        "border",
+        "parking",
+        "restricted",
+    ]
 )
 """The types of lanelets on which no car drives."""
 CARS = frozenset(("vehicle", "car"))
-SPEED_SIGNS = frozenset(["274", "R2-1", "r301", "3.24", "R15", "C43", "B14", "Ρ-32", "B31", "maxSpeed"])
+SPEED_SIGNS = frozenset(
+    ["274", "R2-1", "r301", "3.24", "R15", "C43", "B14", "Ρ-32", "B31", "maxSpeed"]
+)
 """The signs of speed limits in the countries of CommonRoad; their value is in m/s."""
 
 

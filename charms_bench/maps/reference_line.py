@@ -5,6 +5,7 @@ angles rad; x points to the east, y to the north, and a lateral offset t to the 
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +40,8 @@ class Record(NamedTuple):
     length: float
     kind: str
     numbers: tuple[float, ...]
-    """Of an arc: its curvature; a spiral: curvatures at start and end; `poly3`: a to d; `paramPoly3`:
-    aU to dU, aV to dV, and by what a distance is multiplied to get its parameter."""
+    """Of an arc: its curvature; a spiral: curvatures at its ends; `poly3`: a to d; `paramPoly3`: aU
+    to dU, aV to dV, and by what a distance is multiplied to get its parameter."""
 
 
 class Polynomials(NamedTuple):
@@ -86,7 +87,7 @@ def polynomials(
     for each in elements:
         s = start + each.number(offset, low=-1e-3 if least is None else least)
         rows.append((s, *(each.number(name, 0.0) for name in "abcd")))
-    if not rows:
+    if not rows or min(rows)[0] > start + _TOUCH_M:
         rows.append((start, 0.0, 0.0, 0.0, 0.0))
     table = np.array(sorted(rows, key=lambda row: row[0]))
     return Polynomials(table[:, 0], table[:, 1:])
@@ -112,7 +113,7 @@ class ReferenceLine:
             raise road.fault(
                 f"length is {stated:g}, but its <geometry> elements end at {self.length:g}"
             )
-        for one, other in zip(self.records, self.records[1:], strict=False):
+        for one, other in pairwise(self.records):
             end = _along(one, np.array([one.length]))
             gap = float(np.hypot(end.x[0] - other.x, end.y[0] - other.y))
             if gap > GAP_M or abs(one.s + one.length - other.s) > GAP_M:
@@ -134,7 +135,7 @@ class ReferenceLine:
 
 
 def _record(geometry: Element) -> Record:
-    place = [geometry.number(name) for name in ("s", "x", "y", "hdg")]
+    s, x, y, heading = (geometry.number(name) for name in ("s", "x", "y", "hdg"))
     length = geometry.number("length", low=0.0)
     shapes = [each for each in geometry.children if each.tag in _SHAPES]
     if len(shapes) != 1:
@@ -148,7 +149,7 @@ def _record(geometry: Element) -> Record:
         if given not in ranges:
             raise shape.fault(f"pRange is {given[:40]!r}; expected arcLength or normalized")
         numbers += (ranges[given],)
-    return Record(*place, length, shape.tag, numbers)
+    return Record(s, x, y, heading, length, shape.tag, numbers)
 
 
 _SHAPES = {
@@ -191,7 +192,7 @@ def _spiral(record: Record, ds: Floats) -> tuple[Floats, Floats, Floats]:
         return _of_curvature((first + last) / 2, ds)
     from scipy.special import fresnel  # slow to import
 
-    # theta = first * s + rate * s^2 / 2 = sign * (pi / 2 * t^2 - pi / 2 * t0^2), t = (s + s0) / unit
+    # first * s + rate * s^2 / 2 = sign * pi / 2 * (t^2 - t0^2) with t = (s + origin) / unit
     sign, unit = np.sign(rate), np.sqrt(np.pi / abs(rate))
     origin = first / rate
     sines, cosines = fresnel((np.append(ds, 0.0) + origin) / unit)

@@ -7,6 +7,7 @@ that a positive lateral offset is to the right, both from the map's `origin` on.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from charms_bench.world.road_network import (
 )
 
 SHORTEST_POLYLINE_M = 1.0
-"""Below this length, a lane of an environment is straight: highway-env's polylines are not shorter."""
+"""Below this length, a lane of an environment is straight: highway-env has no shorter polylines."""
 UNSTATED_SPEED_MPS = 20.0
 """The speed limit of lanes whose map states none [`AbstractLane`]."""
 Exact = StraightLane | SineLane | CircularLane
@@ -50,6 +51,8 @@ class MapLane:
     @property
     def length(self) -> float:
         """Along the centre line in the plane, m."""
+        if isinstance(self.exact, CircularLane):
+            return self.exact.radius * abs(self.exact.end_phase - self.exact.start_phase)
         return float(lengths_of(self.points)[-1])
 
     def lane(self, line_types: tuple[int, int]) -> Lane:
@@ -121,7 +124,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Gap:
-    """Where the map's linked lanes do not touch, and the lane that now leads from one to the other."""
+    """Where linked lanes do not touch in the map, and the lane that leads over the gap."""
 
     lanes: tuple[str, str]
     length: float
@@ -165,7 +168,7 @@ class RoadMap:
                 )  # fmt: skip
                 yield road.start, road.end, lane.lane(lines)
 
-    def facts(self) -> dict[str, object]:
+    def facts(self) -> dict[str, Any]:
         """What the map has, as numbers and texts."""
         lanes = list(self.lanes)
         limits = sorted({each.speed_limit for each in lanes if each.speed_limit is not None})
@@ -196,7 +199,6 @@ class RoadMap:
             "conflicts_with_right_of_way": sum(bool(each.gives_way) for each in self.conflicts),
             "lights": sum(each.kind == "light" for each in self.signals),
             "signs": sum(each.kind == "sign" for each in self.signals),
-            "gaps_bridged": len(self.gaps),
-            "largest_gap_m": max((gap.length for gap in self.gaps), default=0.0),
+            "gaps": [{"lanes": list(gap.lanes), "length_m": gap.length} for gap in self.gaps],
             "left_out": dict(self.left_out),
         }

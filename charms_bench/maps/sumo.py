@@ -135,7 +135,7 @@ class _Reader:
             is_of_walkers = functions[0] == "walkingarea" and functions[1] != "crossing"
             if not is_of_walkers and functions[1] != "walkingarea":
                 after.setdefault(one, []).append(k)
-        found = {}
+        found: dict[int, Link] = {}
         for name, junction in self.junctions.items():
             several = [k for lane in junction.get("incLanes").split() for k in after.get(lane, ())]
             if len(several) == len(junction.every("request")):
