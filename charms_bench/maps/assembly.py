@@ -8,6 +8,7 @@ import numpy as np
 from charms_bench.errors import MapError
 from charms_bench.foundation.arrays import Floats
 from charms_bench.maps.conflicts import conflicts_of
+from charms_bench.maps.elements import LARGEST
 from charms_bench.maps.road_map import (
     Gap,
     MapLane,
@@ -26,6 +27,10 @@ TINY_M = 0.01
 """Shorter roads are left out; links lead over them."""
 WIDEST_GAP_M = 100.0
 """Wider gaps are a fault of the map."""
+WIDEST_LANE_M, LONGEST_LANE_M, LONGEST_MAP_M = 100.0, 1e6, 1e8
+"""A map with wider or longer lanes, or more of them, is wrong; it would also take long to read."""
+STEEPEST, STEP_M = 2.0, 1.0
+"""A lane that rises by more than this part of a distance and this step is a fault of the map."""
 FAR_M = 10_000.0
 """If a coordinate is larger, the origin is moved."""
 DECIMALS = 6
@@ -46,8 +51,8 @@ class Draft:
     """The element that each lane is, for errors."""
     links: dict[tuple[str, str], str] = field(default_factory=dict)
     """Each lane with a lane that follows, and the junction in which that is if it is known."""
-    has_gaps: bool = False
-    """Whether the format leaves out the lanes in junctions, so that gaps are bridged."""
+    open_links: set[tuple[str, str]] = field(default_factory=set)
+    """Those over junctions whose lanes the map leaves out, so that gaps are bridged."""
     gives_way: set[tuple[str, str]] = field(default_factory=set)
     """The pairs of lanes of which the first gives way to the second; `A->B` bridges a gap."""
     signals: list[Signal] = field(default_factory=list)
@@ -88,6 +93,7 @@ def assembled(draft: Draft, name: str) -> RoadMap:
         reasons = "; ".join(f"{count} {reason}" for reason, count in draft.left_out.items())
         raise MapError(f"has no lane on which cars drive ({reasons or 'it has no lanes'})")
     kept = _without_tiny(draft)
+    _check(draft, kept)
     origin = _origin(kept)
     roads = [_moved(road, origin) for road in kept]
     signals = [
@@ -166,6 +172,34 @@ def _without_tiny(draft: Draft) -> list[MapRoad]:
     return [road for road in draft.roads if road.lanes[0].id not in gone]
 
 
+def _check(draft: Draft, roads: list[MapRoad]) -> None:
+    """Raises a `MapError` for lanes that no map has, from wrong numbers."""
+    total = 0.0
+    for lane in (lane for road in roads for lane in road.lanes):
+        points, where = lane.points, draft.where[lane.id]
+        if not (np.isfinite(points).all() and np.abs(points).max() <= LARGEST):
+            raise MapError(f"{where}: has a point beyond {LARGEST:g} m")
+        along = lengths_of(points)
+        total += along[-1]
+        if points[:, 3].min() < 0 or points[:, 3].max() > WIDEST_LANE_M:
+            low, high = points[:, 3].min(), points[:, 3].max()
+            raise MapError(
+                f"{where}: is {low:g} to {high:g} m wide; expected 0 to {WIDEST_LANE_M:g} m"
+            )
+        if along[-1] > LONGEST_LANE_M or total > LONGEST_MAP_M:
+            raise MapError(
+                f"{where}: is {along[-1]:g} m long, the lanes up to it {total:g} m; expected at "
+                f"most {LONGEST_LANE_M:g} and {LONGEST_MAP_M:g} m"
+            )
+        rises = np.abs(np.diff(points[:, 2])) - STEEPEST * np.diff(along)
+        if rises.max(initial=0.0) > STEP_M:
+            step = int(rises.argmax())
+            raise MapError(
+                f"{where}: its height goes from {points[step, 2]:g} to {points[step + 1, 2]:g} m "
+                f"within {along[step + 1] - along[step]:.2f} m; correct the elevation"
+            )
+
+
 def _origin(roads: list[MapRoad]) -> tuple[float, float]:
     """A point of whole metres in the middle of the map if it is far from (0, 0)."""
     points = [lane.points[:, :2] for road in roads for lane in road.lanes]
@@ -227,8 +261,8 @@ def _bridged(draft: Draft, roads: list[MapRoad]) -> tuple[Links, list[MapRoad], 
         if gap <= TOUCH_M + abs(end[3] - start[3]) / 2:
             links[one, other] = None
             continue
-        if not draft.has_gaps or gap > WIDEST_GAP_M:
-            most = WIDEST_GAP_M if draft.has_gaps else TOUCH_M
+        most = WIDEST_GAP_M if (one, other) in draft.open_links else TOUCH_M
+        if gap > most:
             raise MapError(
                 f"{draft.where[one]}: ends {gap:.2f} m from where the following lane "
                 f"{other!r} starts; expected at most {most:g} m"

@@ -6,6 +6,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from charms_bench.errors import MapError
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.maps.road_map import Conflict, MapLane, MapRoad
 from charms_bench.maps.sampling import lengths_of
@@ -14,10 +15,15 @@ LEVEL_M = 3.0
 """Lanes that are further apart in height do not conflict: no vehicle fits between lower levels."""
 END_M = 1.0
 """Lanes that touch within this distance of both of their ends follow, leave or join each other."""
-OVERLAP = 0.02
-"""Of two lanes that start or end together, an angle with a smaller sine is not a crossing, rad."""
+_STEEP = 0.17
+"""Lanes whose angle has a smaller sine cross only if they change sides, by `_ASIDE_M` within
+`_NEAR_M`: polylines of lanes that lie on each other cross without a meaning."""
+_ASIDE_M = 0.05
+_NEAR_M = 10.0
 SAME_M = 1.0
 """Crossings of two lanes that are closer along both are one."""
+MOST_PAIRS = 200_000_000
+"""Of pieces that are close to each other; a large map has some ten million."""
 _PIECE_M = 4.0
 
 
@@ -29,7 +35,6 @@ def conflicts_of(roads: Sequence[MapRoad], gives_way: Set[tuple[str, str]]) -> l
         gives_way: The pairs of lanes of which the first gives way to the second.
     """
     lanes = [lane for road in roads for lane in road.lanes]
-    number = {lane.id: k for k, lane in enumerate(lanes)}
     lengths = np.array([lane.length for lane in lanes])
     before: dict[str, list[int]] = {}
     for k, lane in enumerate(lanes):
@@ -40,14 +45,13 @@ def conflicts_of(roads: Sequence[MapRoad], gives_way: Set[tuple[str, str]]) -> l
         for joined in before.values()
         for i, j in combinations(joined, 2)
     ]
-    after = [[number[each] for each in lane.successors] for lane in lanes]
     of_road = np.repeat(np.arange(len(roads)), [len(road.lanes) for road in roads])
-    siblings = {pair for each in after for pair in combinations(sorted(each), 2)}
-    siblings |= {pair for each in before.values() for pair in combinations(sorted(each), 2)}
     found: dict[tuple[int, int], list[tuple[float, float]]] = {}
     for i, j, s, r, sine in _crossings(lanes, of_road):
         at_end = [[s < END_M, s > lengths[i] - END_M], [r < END_M, r > lengths[j] - END_M]]
-        if (any(at_end[0]) and any(at_end[1])) or ((i, j) in siblings and abs(sine) < OVERLAP):
+        if any(at_end[0]) and any(at_end[1]):
+            continue
+        if abs(sine) < _STEEP and not _changes_sides(lanes[i].points, s, lanes[j].points, r):
             continue
         places = found.setdefault((i, j), [])
         if all(abs(s - one) > SAME_M or abs(r - other) > SAME_M for one, other in places):
@@ -57,6 +61,33 @@ def conflicts_of(roads: Sequence[MapRoad], gives_way: Set[tuple[str, str]]) -> l
         _conflict(lanes[i].id, lanes[j].id, (s, r), kind, gives_way)
         for i, j, s, r, kind in dict.fromkeys([*merging, *crossing])
     ]
+
+
+def _changes_sides(one: Floats, s: float, other: Floats, r: float) -> bool:
+    """Whether a polyline goes from one side of another to the other side, near a crossing."""
+    along = lengths_of(one), lengths_of(other)
+
+    def place(k: int, distance: float) -> Floats:
+        points = (one, other)[k]
+        return np.array([np.interp(distance, along[k], points[:, axis]) for axis in range(2)])
+
+    ahead = min(_NEAR_M, along[0][-1] - s, along[1][-1] - r)
+    behind = min(_NEAR_M, s, r)
+    way = place(1, r + ahead) - place(1, r - behind)
+    if way @ (place(0, s + ahead) - place(0, s - behind)) < 0:  # they lead in opposite directions
+        ahead, behind = min(_NEAR_M, along[0][-1] - s, r), min(_NEAR_M, s, along[1][-1] - r)
+        aside = [
+            place(0, s - behind) - place(1, r + behind),
+            place(0, s + ahead) - place(1, r - ahead),
+        ]
+    else:
+        aside = [
+            place(0, s - behind) - place(1, r - behind),
+            place(0, s + ahead) - place(1, r + ahead),
+        ]
+    before, after = (float(way[0] * each[1] - way[1] * each[0]) for each in aside)
+    least = _ASIDE_M * float(np.hypot(*way))
+    return before * after < 0 and min(abs(before), abs(after)) > least
 
 
 def _conflict(
@@ -76,7 +107,10 @@ def _crossings(
     table = np.concatenate(pieces)
     start, end = table[:, :3], table[:, 3:6]
     middle = (start[:, :2] + end[:, :2]) / 2
-    pairs = cKDTree(middle).query_pairs(_PIECE_M, output_type="ndarray")
+    tree = cKDTree(middle)
+    if (count := int(tree.count_neighbors(tree, _PIECE_M))) > MOST_PAIRS:
+        raise MapError(f"{count:,} pieces of lanes lie on each other; is a part of it repeated?")
+    pairs = tree.query_pairs(_PIECE_M, output_type="ndarray")
     one, other = np.sort(pairs, axis=1).T
     apart = of_road[lane_of[one]] != of_road[lane_of[other]]
     one, other = one[apart], other[apart]

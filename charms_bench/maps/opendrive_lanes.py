@@ -16,6 +16,8 @@ UNITS = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "": 1.0}
 """By what a speed is multiplied to be in m/s."""
 LEAST_WIDTH_M = -0.1
 """Widths below 0 by less are errors of rounding, and are 0."""
+STEEPEST_ROLL = 1.2
+"""Of a superelevation, rad."""
 _SHORT_M = 1e-4
 """Distances that are closer than this are one."""
 _WIDEST_ARC = 2.8
@@ -164,7 +166,7 @@ class Borders:
         low, high = self.stretch.start, self.stretch.end
         every = np.concatenate([self.starts, *others])
         inner = every[(every > low + _SHORT_M) & (every < high - _SHORT_M)]
-        return np.unique(np.concatenate([[low], inner, [high]]))
+        return np.concatenate([[low], np.unique(inner), [high]])
 
     def widest(self, k: int) -> float:
         """The largest of the widths of a lane at a few distances."""
@@ -189,6 +191,13 @@ class Borders:
             width = (outer - inner) * np.cos(surface.roll.at(s, end))[:, None]
             return np.concatenate([points, width[..., None]], axis=-1)
 
+        breaks = self.breaks([surface.roll.starts])
+        roll = surface.roll.at(np.append(breaks, (breaks[1:] + breaks[:-1]) / 2), end)
+        if np.abs(roll).max() > STEEPEST_ROLL:
+            raise road.fault(
+                f"<superelevation> is {np.abs(roll).max():.2f} rad somewhere between "
+                f"s={self.stretch.start:g} and {end:g}; expected at most {STEEPEST_ROLL:g}"
+            )
         others = (surface.line, surface.offset, surface.elevation, surface.roll)
         try:
             s = stations(curves, self.breaks([each.starts for each in others]))

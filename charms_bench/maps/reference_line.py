@@ -86,7 +86,7 @@ def polynomials(
     rows = []
     for each in elements:
         s = start + each.number(offset, low=-1e-3 if least is None else least)
-        rows.append((s, *(each.number(name, 0.0) for name in "abcd")))
+        rows.append((s, *(each.number(name) for name in "abcd")))
     if not rows or min(rows)[0] > start + _TOUCH_M:
         rows.append((start, 0.0, 0.0, 0.0, 0.0))
     table = np.array(sorted(rows, key=lambda row: row[0]))
@@ -109,6 +109,8 @@ class ReferenceLine:
         last = self.records[-1]
         self.length = last.s + last.length
         stated = road.number("length", self.length, low=0.0)
+        if self.length <= 0:
+            raise road.fault("is 0 m long; expected a length above 0 m")
         if abs(stated - self.length) > GAP_M + 1e-3 * self.length:
             raise road.fault(
                 f"length is {stated:g}, but its <geometry> elements end at {self.length:g}"

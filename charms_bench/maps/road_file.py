@@ -276,6 +276,8 @@ def read_road_file(path: Path) -> RoadMap:
         file = RoadFile.model_validate_json(data)
     except ValidationError as error:
         where, what = first_problem(error)
+        if not where:  # not JSON, or not an object; what was found is the whole file
+            what = what.partition(", found ")[0]
         raise MapError(f"{'.'.join(map(str, where))}: {what}".removeprefix(": ")) from error
     roads = tuple(
         MapRoad(

@@ -82,6 +82,12 @@ class MapLane:
         )
 
 
+def _turns_back(points: Floats) -> bool:
+    """Whether a line goes back from one of its points, by more than a right angle."""
+    steps = np.diff(points[:, :2], axis=0)
+    return bool(((steps[1:] * steps[:-1]).sum(axis=1) < 0).any())
+
+
 @dataclass(frozen=True)
 class MapRoad:
     """Parallel lanes in one direction between two nodes, from the left to the right."""
@@ -199,6 +205,7 @@ class RoadMap:
             "conflicts_with_right_of_way": sum(bool(each.gives_way) for each in self.conflicts),
             "lights": sum(each.kind == "light" for each in self.signals),
             "signs": sum(each.kind == "sign" for each in self.signals),
+            "lanes_that_turn_back": [lane.id for lane in lanes if _turns_back(lane.points)],
             "gaps": [{"lanes": list(gap.lanes), "length_m": gap.length} for gap in self.gaps],
             "left_out": dict(self.left_out),
         }

@@ -25,7 +25,7 @@ Link = tuple[str, int]
 
 class _Reader:
     def __init__(self, root: Element) -> None:
-        self.draft = Draft(f"SUMO {root.get('version')}".strip(), has_gaps=True)
+        self.draft = Draft(f"SUMO {root.get('version')}".strip())
         self.draft.left_hand_traffic = root.get("lefthand") == "true"
         self.edges: dict[str, Element] = {}
         self.connections: list[Element] = []
@@ -108,6 +108,8 @@ class _Reader:
             edge = self.edges[element.get("from")]
             junction = edge.get("to") or _junction_of(edge.get("id"))
             self.draft.links[one, via or other] = junction
+            if not via and edge.get("function", "normal") != "internal":
+                self.draft.open_links.add((one, other))
             if via and via not in continued:
                 self.draft.links[via, other] = junction
             if k in of_link:
