@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from charms_bench.foundation.arrays import Floats
 from charms_bench.maps.conflicts import conflicts_of
 from charms_bench.maps.elements import LARGEST
 from charms_bench.maps.road_map import (
+    SHORTEST_POLYLINE_M,
     Gap,
     MapLane,
     MapRoad,
@@ -35,6 +37,11 @@ FAR_M = 10_000.0
 """If a coordinate is larger, the origin is moved."""
 DECIMALS = 6
 """Of positions, m, so that a road file says the same as the map that it was made of."""
+MOST_PARTS = 64
+"""Into which a road is cut; a lane that then turns back has a kink."""
+_LOOKED_AT = 400
+"""The most points at which a lane is looked at."""
+_BACK_M = 0.1
 _SAME_M = 1e-4
 """Points that are closer than this are one."""
 
@@ -102,15 +109,15 @@ def assembled(draft: Draft, name: str) -> RoadMap:
     ]
     links, bridges, gaps = _bridged(draft, roads)
     junctions = {*draft.links.values(), *(road.junction for road in roads)} - {""}
-    roads, links, piece_of = _with_nodes([*roads, *bridges], links)
+    roads, links, parts_of = _with_nodes([*roads, *bridges], links)
     gives_way = {
         (one, other)
         for first, second in draft.gives_way
-        for one in piece_of.get(first, (first,))
-        for other in piece_of.get(second, (second,))
+        for one in parts_of.get(first, (first,))
+        for other in parts_of.get(second, (second,))
     }
     signals = [
-        replace(each, lanes=tuple(piece_of.get(lane, (lane,))[-1] for lane in each.lanes))
+        replace(each, lanes=tuple(parts_of.get(lane, (lane,))[-1] for lane in each.lanes))
         for each in signals
     ]
     after: dict[str, list[str]] = {}
@@ -298,11 +305,12 @@ def _bridge(one: MapLane, other: MapLane, gap: float) -> MapLane:
 
 def _with_nodes(
     roads: list[MapRoad], links: Links
-) -> tuple[list[MapRoad], Links, Mapping[str, tuple[str, str]]]:
-    """The roads with the names of their nodes.
+) -> tuple[list[MapRoad], Links, Mapping[str, tuple[str, ...]]]:
+    """The roads with the names of their nodes, the links, and the parts of lanes that were cut.
 
-    Where two roads would have the same two nodes, whose lanes highway-env takes for neighbours, one
-    of them is two roads after each other; the last value has the two pieces of each of its lanes.
+    A road is cut into roads after each other where highway-env's rules need that: two roads between
+    the same nodes would be one road of neighbours, and a position along a polyline is not found if
+    that turns back.
     """
     number = {lane.id: k for k, road in enumerate(roads) for lane in road.lanes}
     # Port 2 k is the start of road k, and port 2 k + 1 its end.
@@ -319,43 +327,66 @@ def _with_nodes(
     names: dict[int, str] = {}
     found: list[MapRoad] = []
     taken: set[tuple[str, str]] = set()
-    pieces: dict[str, tuple[str, str]] = {}
+    parts_of: dict[str, tuple[str, ...]] = {}
     for k, road in enumerate(roads):
         start, end = (names.setdefault(find(2 * k + e), str(len(names))) for e in (0, 1))
-        if (start, end) not in taken:
-            taken.add((start, end))
-            found.append(replace(road, start=start, end=end))
-            continue
-        middle = f"{start}-{end}-{k}"
-        halves = [_halves(lane) for lane in road.lanes]
-        for lane, half in zip(road.lanes, halves, strict=True):
-            pieces[lane.id] = half[0].id, half[1].id
-        first, second = (tuple(half[part] for half in halves) for part in (0, 1))
-        found.append(replace(road, start=start, end=middle, lanes=first))
-        found.append(replace(road, start=middle, end=end, lanes=second))
+        lanes = _cut(road.lanes, 1 if (start, end) not in taken else 2)
+        taken.add((start, end))
+        nodes = [start, *(f"{start}-{end}-{k}-{part}" for part in range(1, len(lanes))), end]
+        for ends, part in zip(pairwise(nodes), lanes, strict=True):
+            found.append(replace(road, start=ends[0], end=ends[1], lanes=part))
+        if len(lanes) > 1:
+            for lane, parts in zip(road.lanes, zip(*lanes, strict=True), strict=True):
+                parts_of[lane.id] = tuple(part.id for part in parts)
     moved: Links = {}
     for one, other in links:
-        moved[pieces.get(one, (one,))[-1], pieces.get(other, (other,))[0]] = None
-    moved |= dict.fromkeys(pieces.values())
-    return found, moved, pieces
+        moved[parts_of.get(one, (one,))[-1], parts_of.get(other, (other,))[0]] = None
+    for parts in parts_of.values():
+        moved |= dict.fromkeys(pairwise(parts))
+    return found, moved, parts_of
 
 
-def _halves(lane: MapLane) -> tuple[MapLane, MapLane]:
-    """The two halves of a lane."""
+def _cut(lanes: tuple[MapLane, ...], count: int) -> list[tuple[MapLane, ...]]:
+    """The lanes in so many parts of equal length, or in more where one of them turns back."""
+    while True:
+        parts = [lanes] if count == 1 else [*zip(*(_parts(each, count) for each in lanes))]  # noqa: B905
+        if count >= MOST_PARTS or not any(_turns_back(lane) for part in parts for lane in part):
+            return parts
+        count *= 2
+
+
+def _turns_back(lane: MapLane) -> bool:
+    """Whether a point of a lane is not behind all later points, as seen along the lane there.
+
+    highway-env looks for a position from the end of a polyline on [`LinearSpline2D`].
+    """
     along = lengths_of(lane.points)
-    half = along[-1] / 2
-    place = int(np.searchsorted(along, half))
-    middle = np.array([np.interp(half, along, column) for column in lane.points.T])
-    exact: list[StraightLane | CircularLane | None] = [None, None]
-    if isinstance(lane.exact, CircularLane):
-        phase = (lane.exact.start_phase + lane.exact.end_phase) / 2
-        exact = [replace(lane.exact, end_phase=phase), replace(lane.exact, start_phase=phase)]
-    points = [np.vstack([lane.points[:place], middle]), np.vstack([middle, lane.points[place:]])]
-    points = [np.round(each, DECIMALS) + 0.0 for each in points]
-    if isinstance(lane.exact, StraightLane):
-        exact = [_exact(lane, each, (0.0, 0.0)) for each in points]
-    one, other = (
-        replace(lane, id=f"{lane.id}/{k}", points=each, exact=shape)
-        for k, (each, shape) in enumerate(zip(points, exact, strict=True), start=1)
-    )
-    return one, other
+    if lane.exact is not None or along[-1] < SHORTEST_POLYLINE_M:
+        return False
+    s = np.linspace(0.0, along[-1], int(np.clip(along[-1] + 1, 2, _LOOKED_AT)))
+    places = np.stack([np.interp(s, along, column) for column in lane.points.T[:2]], axis=1)
+    way = np.diff(places, axis=0)
+    ahead = (way * places[:-1]).sum(axis=1)[:, None] - way @ places[:-1].T
+    # An earlier point may be ahead by rounding, and where a map has a kink.
+    return bool((np.tril(ahead, -1) < -_BACK_M * np.hypot(*way.T)[:, None]).any())
+
+
+def _parts(lane: MapLane, count: int) -> list[MapLane]:
+    """The parts of a lane, all as long."""
+    along = lengths_of(lane.points)
+    cuts = np.linspace(0.0, along[-1], count + 1)
+    found = []
+    for k, (low, high) in enumerate(pairwise(cuts)):
+        inside = lane.points[(along > low + _SAME_M) & (along < high - _SAME_M)]
+        ends = [[np.interp(s, along, column) for column in lane.points.T] for s in (low, high)]
+        points = np.round(np.vstack([ends[:1], inside, ends[1:]]), DECIMALS) + 0.0
+        exact: StraightLane | CircularLane | None = None
+        if isinstance(lane.exact, CircularLane):
+            first, last = lane.exact.start_phase, lane.exact.end_phase
+            phases = [first + (last - first) * part / count for part in (k, k + 1)]
+            exact = replace(lane.exact, start_phase=phases[0], end_phase=phases[1])
+            points = points_of(exact, (float(points[0, 2]), float(points[-1, 2])))
+        elif isinstance(lane.exact, StraightLane):
+            exact = _exact(lane, points, (0.0, 0.0))
+        found.append(replace(lane, id=f"{lane.id}/{k + 1}", points=points, exact=exact))
+    return found
