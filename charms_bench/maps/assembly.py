@@ -120,6 +120,14 @@ def assembled(draft: Draft, name: str) -> RoadMap:
         replace(each, lanes=tuple(parts_of.get(lane, (lane,))[-1] for lane in each.lanes))
         for each in signals
     ]
+    gaps = [
+        Gap(
+            (parts_of.get(one, (one,))[-1], parts_of.get(other, (other,))[0]),
+            length,
+            parts_of.get(bridge, (bridge,)),
+        )
+        for ((one, other), length, (bridge,)) in ((g.lanes, g.length, g.bridge) for g in gaps)
+    ]
     after: dict[str, list[str]] = {}
     for one, other in links:
         after.setdefault(one, []).append(other)
@@ -276,7 +284,7 @@ def _bridged(draft: Draft, roads: list[MapRoad]) -> tuple[Links, list[MapRoad], 
             )
         bridge = _bridge(lane_of[one], lane_of[other], gap)
         bridges.append(MapRoad("", "", (bridge,), junction or f"gap after {one}"))
-        gaps.append(Gap((one, other), round(gap, 3), bridge.id))
+        gaps.append(Gap((one, other), round(gap, 3), (bridge.id,)))
         links |= {(one, bridge.id): None, (bridge.id, other): None}
     return links, bridges, gaps
 

@@ -109,7 +109,7 @@ def cut(road: RoadMap, around: Pair, radius: float) -> RoadMap:
             for each in road.signals
             if not kept.isdisjoint(each.lanes)
         ),
-        gaps=tuple(each for each in road.gaps if kept.issuperset((*each.lanes, each.bridge))),
+        gaps=tuple(each for each in road.gaps if kept.issuperset((*each.lanes, *each.bridge))),
     )
 
 

@@ -171,8 +171,8 @@ class FileGap(FrozenModel):
     """The lane before the gap and the one behind it."""
     length: NonNegative
     """m."""
-    bridge: Line
-    """The id of the lane over the gap, a cubic Hermite curve."""
+    bridge: Annotated[tuple[Line, ...], Field(strict=False, min_length=1)]
+    """The ids of the lane over the gap, or of its parts: a cubic Hermite curve."""
 
 
 class RoadFile(FrozenModel):
@@ -374,7 +374,7 @@ def _check(file: RoadFile, roads: tuple[MapRoad, ...]) -> None:
             for k, each in enumerate(file.conflicts)
         ),
         *((f"signals.{k}", each.lanes) for k, each in enumerate(file.signals)),
-        *((f"gaps.{k}", [*each.lanes, each.bridge]) for k, each in enumerate(file.gaps)),
+        *((f"gaps.{k}", [*each.lanes, *each.bridge]) for k, each in enumerate(file.gaps)),
     ]
     for where, names in named:
         for name in names:

@@ -135,8 +135,8 @@ class Gap:
     lanes: tuple[str, str]
     length: float
     """From the end of the one to the start of the other, m."""
-    bridge: str
-    """The id of that lane, a cubic Hermite curve along the headings of the two ends."""
+    bridge: tuple[str, ...]
+    """The ids of that lane's parts, a cubic Hermite curve along the headings of the two ends."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,7 +71,13 @@ def lane(
 
 
 def polynomial(
-    tag: str, place: str, at: float = 0.0, a: float = 0.0, b: float = 0.0, c: float = 0.0, d: float = 0.0
+    tag: str,
+    place: str,
+    at: float = 0.0,
+    a: float = 0.0,
+    b: float = 0.0,
+    c: float = 0.0,
+    d: float = 0.0,
 ) -> str:
     return f'<{tag} {place}="{at!r}" a="{a!r}" b="{b!r}" c="{c!r}" d="{d!r}"/>'
 

@@ -24,7 +24,11 @@ def test_neighbours_are_lanes_of_a_road_and_the_middle_is_the_centre_line(tmp_pa
     assert [[lane.id for lane in road.lanes] for road in found.roads] == [["2", "1"], ["3"]]
     lanes = lanes_of(found)
     assert lanes["3"].points.tolist() == [[50, -2, 0, 4], [100, -2.5, 0, 5]]
-    assert {name: lane.successors for name, lane in lanes.items()} == {"2": ("3",), "1": (), "3": ()}
+    assert {name: lane.successors for name, lane in lanes.items()} == {
+        "2": ("3",),
+        "1": (),
+        "3": (),
+    }
     assert found.roads[0].end == found.roads[1].start
 
 

@@ -18,7 +18,9 @@ WITHIN_M, LENGTH_ERROR = 0.01, 1e-3
 PLACE = (3.0, -2.0, 0.7)
 
 
-def geometry(shape: str, length: float, place: tuple[float, float, float] = PLACE, s: float = 0.0) -> str:
+def geometry(
+    shape: str, length: float, place: tuple[float, float, float] = PLACE, s: float = 0.0
+) -> str:
     x, y, heading = place
     return (
         f'<geometry s="{s!r}" x="{x!r}" y="{y!r}" hdg="{heading!r}" length="{length!r}">{shape}'

@@ -22,14 +22,16 @@ LINKS = (
     + connection(":J_3", "up", (0, 0))
 )
 JUNCTION = (
-    '<junction id="J" type="priority" incLanes="east_0 east_1 north_0" intLanes=":J_0_0 :J_0_1 :J_3_0">'
+    '<junction id="J" type="priority" incLanes="east_0 east_1 north_0">'
     '<request index="0" response="000"/><request index="1" response="000"/>'
     '<request index="2" response="011"/></junction>'
 )
 CROSSING = (EAST, ON, NORTH, UP, OVER, ACROSS, LINKS, JUNCTION)
 
 
-def test_edges_are_roads_of_lanes_from_the_left_and_lead_over_internal_lanes(tmp_path: Path) -> None:
+def test_edges_are_roads_of_lanes_from_the_left_and_lead_over_internal_lanes(
+    tmp_path: Path,
+) -> None:
     found = read(tmp_path, sumo(*CROSSING))
     assert [lane.id for lane in found.roads[0].lanes] == ["east_1", "east_0"]
     assert {name: lane.successors for name, lane in lanes_of(found).items()} == {
@@ -62,7 +64,10 @@ def test_lanes_without_cars_are_left_out_and_separate_lanes(tmp_path: Path) -> N
     text = text.replace('index="1"', 'index="1" allow="bicycle"').replace(
         'index="0"', 'index="0" disallow="bus"'
     )
-    found = read(tmp_path, sumo(text, edge(":b_c0", "0,0 1,0", attributes='').replace("internal", "crossing")))
+    found = read(
+        tmp_path,
+        sumo(text, edge(":b_c0", "0,0 1,0", attributes="").replace("internal", "crossing")),
+    )
     assert [[lane.id for lane in road.lanes] for road in found.roads] == [["e_2"], ["e_0"]]
     assert found.left_out == {"not for cars": 1, "of a crossing": 1}
 
@@ -72,7 +77,8 @@ def test_gaps_without_internal_lanes_are_bridged_along_both_headings(tmp_path: P
     found = read(tmp_path, sumo(NORTH, ON, turn))
     (gap,) = found.gaps
     lanes = lanes_of(found)
-    bridge = lanes[gap.bridge].points
+    (name,) = gap.bridge
+    bridge = lanes[name].points
     assert gap.lanes == ("north_0", "on_0")
     assert gap.length == pytest.approx(np.hypot(10, 5.2), abs=1e-3)
     # y is to the right: the bridge starts to the north, and ends to the east.
@@ -80,8 +86,8 @@ def test_gaps_without_internal_lanes_are_bridged_along_both_headings(tmp_path: P
     first, last = bridge[1] - bridge[0], bridge[-1] - bridge[-2]
     assert np.arctan2(first[1], first[0]) == pytest.approx(-np.pi / 2, abs=0.15)
     assert np.arctan2(last[1], last[0]) == pytest.approx(0, abs=0.15)
-    assert lanes["north_0"].successors == (gap.bridge,)
-    assert lanes[gap.bridge].successors == ("on_0",)
+    assert lanes["north_0"].successors == (name,)
+    assert lanes[name].successors == ("on_0",)
 
 
 def test_two_ways_between_the_same_nodes_stay_two_roads(tmp_path: Path) -> None:
@@ -98,7 +104,13 @@ def test_two_ways_between_the_same_nodes_stay_two_roads(tmp_path: Path) -> None:
     roads = read(tmp_path, sumo(wide, left, right, end, links)).roads
     assert len({(road.start, road.end) for road in roads}) == len(roads) == 5
     lanes = [[lane.id for lane in road.lanes] for road in roads]
-    assert lanes == [["wide_1", "wide_0"], ["left_0"], ["right_0/1"], ["right_0/2"], ["end_1", "end_0"]]
+    assert lanes == [
+        ["wide_1", "wide_0"],
+        ["left_0"],
+        ["right_0/1"],
+        ["right_0/2"],
+        ["end_1", "end_0"],
+    ]
     assert roads[0].end == roads[1].start == roads[2].start
     assert roads[1].end == roads[3].end == roads[4].start
 

@@ -44,10 +44,10 @@ def draw(road: RoadMap) -> Figure:
             x, y = _in_map(road, places).T
             label = f"{kind} ({len(places):,})"
             axes.plot(x, y, marker, color=SERIES[0], markersize=4, linestyle="", label=label)
-    bridges = [_in_map(road, at[each.bridge].points) for each in road.gaps]
+    bridges = [_in_map(road, at[lane].points) for each in road.gaps for lane in each.bridge]
     if bridges:
         axes.add_collection(
-            LineCollection(bridges, colors=SERIES[3], label=f"gap bridged ({len(bridges):,})")
+            LineCollection(bridges, colors=SERIES[3], label=f"gap bridged ({len(road.gaps):,})")
         )
     axes.set_aspect("equal")
     axes.autoscale_view()
