@@ -18,6 +18,7 @@ from charms_bench.cli.terminal import (
 )
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute
+from charms_bench.foundation.words import counted
 
 MOST_GAPS = 10
 """The gaps that are listed one by one; `--json` has all."""
@@ -73,6 +74,9 @@ def road(
         say(f"Gap of {gap['length_m']:.2f} m between lanes {one} and {other}, bridged")
     if len(gaps) > MOST_GAPS:
         say(f"and {len(gaps) - MOST_GAPS:,} more gaps")
+    if back := facts["lanes_that_turn_back"]:
+        more = f", and {len(back) - MOST_GAPS:,} more" if len(back) > MOST_GAPS else ""
+        say(f"Lanes with a kink of more than 90 degrees: {', '.join(back[:MOST_GAPS])}{more}")
     for path in filter(None, (to, figure)):
         say(f"Written: {shown(absolute(path))}")
 
@@ -92,8 +96,8 @@ def _in_words(facts: dict[str, Any]) -> dict[str, str]:
         "lanes": f"{facts['lanes']:,}, {facts['lane_km']:z.2f} lane-km",
         "roads": f"{facts['roads']:,} between {facts['nodes']:,} nodes",
         "junctions": f"{facts['junctions']:,}",
-        "starts and ends": f"{facts['starts']:,} lanes start and {facts['ends']:,} end at the "
-        "border of the map",
+        "starts and ends": f"no lane leads to {counted(facts['starts'], 'lane')}, and none follows "
+        f"{counted(facts['ends'], 'lane')}",
         "speed limits, m/s": "; ".join(
             filter(None, (limits, f"none stated for {unstated:,} lanes" if unstated else ""))
         ),

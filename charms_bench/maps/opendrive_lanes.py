@@ -9,7 +9,7 @@ from charms_bench.foundation.arrays import Floats
 from charms_bench.maps.assembly import without_repeated
 from charms_bench.maps.elements import Element
 from charms_bench.maps.reference_line import GAP_M, Polynomials, ReferenceLine, polynomials
-from charms_bench.maps.sampling import TooManyPointsError, stations
+from charms_bench.maps.sampling import TooManyPointsError, lengths_of, stations
 from charms_bench.world.road_network import CircularLane
 
 UNITS = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "": 1.0}
@@ -20,6 +20,7 @@ STEEPEST_ROLL = 1.2
 """Of a superelevation, rad."""
 _SHORT_M = 1e-4
 """Distances that are closer than this are one."""
+_EVEN_M = 1e-9
 _WIDEST_ARC = 2.8
 """Longer arcs, rad, are polylines: beyond half a turn, a position on an arc has no one distance."""
 Speeds = list[tuple[float, float | None]]
@@ -207,7 +208,7 @@ class Borders:
         arc = self._arc(surface)
         lines = {}
         for k, lane in enumerate(lanes):
-            points = without_repeated(found[:, k])
+            points = _straightened(without_repeated(found[:, k]))
             width = points[:, 3]
             is_exact = arc is not None and (np.abs(width - width[0]) < 1e-9).all()
             lines[lane] = points, self._circular(arc, points) if is_exact and arc else None
@@ -261,6 +262,19 @@ class Borders:
             clockwise=bool(curvature > 0),
             width=float(points[0, 3]),
         )
+
+
+def _straightened(points: Floats) -> Floats:
+    """The two ends of a straight line of one width that rises evenly; other lines as they are.
+
+    The lanes of a section have points at the same distances, where one of them needs them.
+    """
+    along = lengths_of(points)
+    if along[-1] == 0:
+        return points
+    even = points[0] + np.outer(along / along[-1], points[-1] - points[0])
+    is_straight = np.abs(points - even).max() < _EVEN_M and np.ptp(points[:, 3]) < _EVEN_M
+    return points[[0, -1]] if is_straight else points
 
 
 def reversed_arc(arc: CircularLane) -> CircularLane:
