@@ -176,7 +176,7 @@ class FileGap(FrozenModel):
 
 
 class RoadFile(FrozenModel):
-    """A road file."""
+    """The whole of a road file."""
 
     charms_bench_road: Literal[1]
     """The version of the format."""
