@@ -9,7 +9,7 @@ from itertools import groupby
 
 import numpy as np
 
-from charms_bench.maps.assembly import Draft
+from charms_bench.maps.draft import Draft
 from charms_bench.maps.elements import Element
 from charms_bench.maps.opendrive_lanes import (
     Borders,
@@ -44,7 +44,7 @@ class _Reader:
 
     def header(self, element: Element) -> None:
         major, minor = (element.whole(name) for name in ("revMajor", "revMinor"))
-        if major != 1 or not 1 <= minor <= 8:
+        if major != 1 or not 4 <= minor <= 8:
             raise element.fault(f"is OpenDRIVE {major}.{minor}; expected 1.4 to 1.8")
         self.draft.format = f"OpenDRIVE {major}.{minor}"
 
@@ -94,6 +94,8 @@ class _Reader:
             kind = stretch.lanes[lane].get("type", "none")
             if kind not in CAR_LANES:
                 self.draft.leave_out(f"of type {kind[:40]!r}")
+            elif (way := stretch.lanes[lane].get("direction", "standard")) != "standard":
+                self.draft.leave_out(f"of direction {way[:40]!r}")
             elif borders.widest(k) < NARROW_M:
                 self.draft.leave_out("without a width")
             else:
@@ -146,8 +148,11 @@ class _Reader:
 
     def finished(self) -> Draft:
         """The draft, when all elements are read."""
-        for one, other, junction in Links(self.roads, self.junctions).between(self.kept):
+        links = Links(self.roads, self.junctions)
+        for one, other, junction in links.between(self.kept):
             self.draft.links[str(one), str(other)] = junction
+        if links.inside:
+            self.draft.leave_out("links from or into the middle of a road", links.inside)
         lanes: dict[str, list[str]] = {}
         for place in self.kept:
             lanes.setdefault(place.road, []).append(str(place))

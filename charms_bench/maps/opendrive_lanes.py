@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from charms_bench.foundation.arrays import Floats
-from charms_bench.maps.assembly import without_repeated
+from charms_bench.maps.draft import without_repeated
 from charms_bench.maps.elements import Element
 from charms_bench.maps.reference_line import GAP_M, Polynomials, ReferenceLine, polynomials
 from charms_bench.maps.sampling import TooManyPointsError, lengths_of, stations

@@ -94,6 +94,8 @@ class Links:
         self._roads, self._junctions = roads, junctions
         self._touching: dict[frozenset[Contact], str] = {}
         """With the junctions in which they touch."""
+        self.inside = 0
+        """How many links are left out because they lead into the middle of a road."""
         for road in roads.values():
             for side in SIDES:
                 self._add_stretches(road, road.stretches[side])
@@ -158,6 +160,9 @@ class Links:
             return
         if kind != "road":
             raise element.fault(f"elementType is {kind[:40]!r}; expected road or junction")
+        if "elementS" in element.attributes:  # of a road that starts at a virtual junction
+            self.inside += 1
+            return
         other, contact = self._road(element, name), _contact_point(element)
         for lane, place in road.lanes_at(end).items():
             side = road.stretches[1 if lane > 0 else -1]

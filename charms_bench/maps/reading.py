@@ -9,8 +9,9 @@ import numpy as np
 from charms_bench.errors import MapError, suggestion
 from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.files import is_compressed, size_of
-from charms_bench.maps.assembly import Draft, assembled
+from charms_bench.maps.assembly import assembled
 from charms_bench.maps.commonroad import read_commonroad
+from charms_bench.maps.draft import Draft
 from charms_bench.maps.elements import LIMIT_BYTES, Element, elements
 from charms_bench.maps.opendrive import read_opendrive
 from charms_bench.maps.road_file import read_road_file

@@ -4,6 +4,7 @@ Positions are in the coordinates of the project: x as in the map and y in the op
 that a positive lateral offset is to the right, both from the map's `origin` on. Units are SI.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
@@ -25,6 +26,8 @@ from charms_bench.world.road_network import (
     StraightLane,
 )
 
+DECIMALS = 6
+"""Of positions, m, so that a road file says the same as the map that it was made of."""
 SHORTEST_POLYLINE_M = 1.0
 """Below this length, a lane of an environment is straight: highway-env has no shorter polylines."""
 UNSTATED_SPEED_MPS = 20.0
@@ -174,6 +177,13 @@ class RoadMap:
                 )  # fmt: skip
                 yield road.start, road.end, lane.lane(lines)
 
+    def _followers_without_a_link(self) -> int:
+        """How many roads follow a road at a node, though none of its lanes leads to them."""
+        road_of = {lane.id: k for k, road in enumerate(self.roads) for lane in road.lanes}
+        starting = Counter(road.start for road in self.roads)
+        linked = {(road_of[lane.id], road_of[s]) for lane in self.lanes for s in lane.successors}
+        return sum(starting[road.end] for road in self.roads) - len(linked)
+
     def facts(self) -> dict[str, Any]:
         """What the map has, as numbers and texts."""
         lanes = list(self.lanes)
@@ -190,6 +200,7 @@ class RoadMap:
             "roads": len(self.roads),
             "nodes": len({node for road in self.roads for node in (road.start, road.end)}),
             "junctions": len(self.junctions),
+            "followers_without_a_link": self._followers_without_a_link(),
             "roundabout_roads": sum(road.roundabout for road in self.roads),
             "starts": sum(lane.id not in followed for lane in lanes),
             "ends": sum(not lane.successors for lane in lanes),

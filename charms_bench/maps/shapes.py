@@ -11,7 +11,7 @@ from charms_bench.world.road_network import CircularLane, SineLane, StraightLane
 def points_of(lane: StraightLane | SineLane | CircularLane, heights: Pair) -> Floats:
     """Points (N, 4) of a lane: x, y, height and width; heights are those of its ends."""
 
-    if type(lane) is StraightLane:
+    if not isinstance(lane, SineLane | CircularLane):
         ends = zip((lane.start, lane.end), heights, strict=True)
         return np.array([(*end, height, lane.width) for end, height in ends])
 
@@ -35,3 +35,11 @@ def _sine(lane: SineLane, part: Floats) -> tuple[Floats, Floats]:
     length = float(np.hypot(*way))
     aside = lane.amplitude * np.sin(lane.pulsation * length * part + lane.phase) / length
     return x + way[0] * part - way[1] * aside, y + way[1] * part + way[0] * aside
+
+
+def straight(points: Floats) -> StraightLane | None:
+    """The straight lane that a polyline (N, 4) of two points and one width is."""
+    if len(points) != 2 or points[0, 3] != points[1, 3]:
+        return None
+    (start_x, start_y), (end_x, end_y) = points[:, :2].tolist()
+    return StraightLane(start=(start_x, start_y), end=(end_x, end_y), width=float(points[0, 3]))

@@ -9,7 +9,7 @@ import numpy as np
 
 from charms_bench.errors import MapError
 from charms_bench.foundation.arrays import Floats
-from charms_bench.maps.assembly import Draft, without_repeated
+from charms_bench.maps.draft import Draft, without_repeated
 from charms_bench.maps.elements import Element
 from charms_bench.maps.road_map import MapLane, Signal
 
