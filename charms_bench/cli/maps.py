@@ -91,7 +91,7 @@ def _in_words(facts: dict[str, Any]) -> dict[str, str]:
     out = "; ".join(f"{count:,} {reason}" for reason, count in facts["left_out"].items())
     (x, right), (y, top) = facts["x_m"], facts["y_m"]
     return {
-        "format": facts["format"],
+        "format": facts["format"] or "road file",
         "traffic": f"on the {'left' if facts['left_hand_traffic'] else 'right'}",
         "lanes": f"{facts['lanes']:,}, {facts['lane_km']:z.2f} lane-km",
         "roads": f"{facts['roads']:,} between {facts['nodes']:,} nodes",

@@ -215,7 +215,7 @@ class Borders:
         return lines
 
     def _arc(self, surface: Surface) -> tuple[float, float, float, float] | None:
-        """The centre, curvature and heading at the start of the arc that the stretch follows."""
+        """The centre, the curvature and the heading at the start of the arc of a stretch."""
         if not (surface.roll.is_zero and surface.elevation.is_zero):
             return None
         for each in (surface.offset, *self.widths):
@@ -242,17 +242,11 @@ class Borders:
     ) -> CircularLane | None:
         x, y, curvature, heading = arc
         turn = curvature * (self.stretch.end - self.stretch.start)
-        radius = float(np.hypot(points[0, 0] - x, points[0, 1] - y))
-        if abs(turn) > _WIDEST_ARC:
-            return None
-        start = heading - np.sign(curvature) * np.pi / 2
-        # A lane beyond the centre would be on the other side of it.
-        if (
-            np.hypot(
-                x + radius * np.cos(start) - points[0, 0], y + radius * np.sin(start) - points[0, 1]
-            )
-            > 1e-6
-        ):
+        out_x, out_y = points[0, 0] - x, points[0, 1] - y
+        radius, start = float(np.hypot(out_x, out_y)), heading - np.sign(curvature) * np.pi / 2
+        # A lane beyond the centre is on the other side of it.
+        is_beyond = out_x * np.cos(start) + out_y * np.sin(start) < 0
+        if abs(turn) > _WIDEST_ARC or is_beyond:
             return None
         return CircularLane(
             center=(x, y),
@@ -278,6 +272,7 @@ def _straightened(points: Floats) -> Floats:
 
 
 def reversed_arc(arc: CircularLane) -> CircularLane:
+    """The same arc in the opposite direction."""
     return CircularLane(
         center=arc.center,
         radius=arc.radius,

@@ -215,14 +215,11 @@ def write_road(road: RoadMap, path: str | Path) -> None:
         "left_out": dict(road.left_out),
     }
     lines = [f"  {json.dumps(key)}: {_text(value)}" for key, value in head.items()]
-    roads = [
-        _text({**_given(each, "lanes"), "lanes": "@"}).replace(
-            '"@"',
-            "[\n" + ",\n".join(f"      {_text(_described(lane))}" for lane in each.lanes) + "]",
-        )
-        for each in road.roads
-    ]
-    lines.append('  "roads": [\n' + ",\n".join(f"    {each}" for each in roads) + "\n  ]")
+    roads = []
+    for each in road.roads:
+        lanes = ",\n".join(f"      {_text(_described(lane))}" for lane in each.lanes)
+        roads.append(f'    {_text(_given(each, "lanes"))[:-1]}, "lanes": [\n{lanes}]}}')
+    lines.append('  "roads": [\n' + ",\n".join(roads) + "\n  ]")
     several = {"conflicts": road.conflicts, "signals": road.signals, "gaps": road.gaps}
     for key, items in several.items():
         inner = ",\n".join(f"    {_text(_given(each))}" for each in items)
