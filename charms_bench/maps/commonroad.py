@@ -10,7 +10,7 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Floats
 from charms_bench.maps.draft import Draft, without_repeated
-from charms_bench.maps.elements import Element
+from charms_bench.maps.elements import Element, printable
 from charms_bench.maps.road_map import MapLane, Signal
 
 VERSIONS = ("2018b", "2020a")
@@ -192,7 +192,7 @@ def read_commonroad(root: Element, children: Iterator[Element]) -> Draft:
 
 
 def _text(element: Element) -> str:
-    return element.text.strip()
+    return printable(element.text.strip())
 
 
 def _point(point: Element) -> tuple[float, float, float]:

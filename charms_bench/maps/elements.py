@@ -11,6 +11,7 @@ LIMIT_BYTES = 2**30
 DEEPEST = 64
 """Elements within elements; maps have about ten."""
 _CHUNK_BYTES = 2**20
+LONGEST_NAME = 200
 LARGEST = 1e9
 """No coordinate, length or polynomial coefficient of a map is beyond this."""
 
@@ -67,8 +68,8 @@ class Element:
         found = self.attributes.get(name, "")
         if not found:
             raise self.fault(f"has no {name!r}; expected a name")
-        if len(found) > 200 or not found.isprintable():
-            raise self.fault(f"{name} has {len(found)} characters; expected up to 200 printable")
+        if len(found) > LONGEST_NAME:
+            raise self.fault(f"{name} has {len(found)} characters; expected up to {LONGEST_NAME}")
         return found
 
     def number(
@@ -108,6 +109,11 @@ class Element:
         return int(value)
 
 
+def printable(text: str) -> str:
+    """The text with `?` for characters that no terminal and no road file shows."""
+    return "".join(each if each.isprintable() else "?" for each in text)
+
+
 class _Builder:
     """Collects the elements below the root as a parser finds them."""
 
@@ -127,6 +133,9 @@ class _Builder:
         if len(self.open) == DEEPEST:
             raise self.open[-1].fault(f"is nested {DEEPEST} elements deep; a map is not")
         owner = self.open[1].owner if len(self.open) > 1 else ""
+        for name, value in attributes.items():
+            if not value.isprintable():
+                attributes[name] = printable(value)
         element = Element(tag, attributes, self.parser.CurrentLineNumber, owner)
         if len(self.open) > 1:
             self.open[-1].children.append(element)

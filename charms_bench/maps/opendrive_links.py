@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from charms_bench.errors import MapError
-from charms_bench.maps.elements import Element
+from charms_bench.maps.elements import LONGEST_NAME, Element
 from charms_bench.maps.opendrive_lanes import Stretch
 
 START, END = "start", "end"
@@ -51,7 +51,7 @@ class Road:
     def junction(self) -> str:
         """The junction that the road is in; empty outside of junctions."""
         found = self.element.get("junction", OUTSIDE)
-        return "" if found == OUTSIDE else found
+        return "" if found == OUTSIDE else found[:LONGEST_NAME]
 
     def is_forward(self, lane: int) -> bool:
         """Whether cars drive towards larger distances."""

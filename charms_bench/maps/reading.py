@@ -12,7 +12,7 @@ from charms_bench.foundation.files import is_compressed, size_of
 from charms_bench.maps.assembly import assembled
 from charms_bench.maps.commonroad import read_commonroad
 from charms_bench.maps.draft import Draft
-from charms_bench.maps.elements import LIMIT_BYTES, Element, elements
+from charms_bench.maps.elements import LIMIT_BYTES, LONGEST_NAME, Element, elements, printable
 from charms_bench.maps.opendrive import read_opendrive
 from charms_bench.maps.road_file import read_road_file
 from charms_bench.maps.road_map import RoadMap
@@ -69,7 +69,7 @@ def _read(path: Path) -> RoadMap:
     if root.tag not in READERS:
         known = suggestion(root.tag[:80], dict.fromkeys(READERS))
         raise MapError(f"line {root.line}: the root is <{root.tag[:80]}>, no known format. {known}")
-    return assembled(READERS[root.tag](root, children), path.stem)
+    return assembled(READERS[root.tag](root, children), printable(path.stem)[:LONGEST_NAME])
 
 
 def cut(road: RoadMap, around: Pair, radius: float) -> RoadMap:

@@ -233,7 +233,11 @@ def _text(value: object) -> str:
 
 def _given(item: Any, *without: str) -> dict[str, Any]:
     """The fields of a dataclass but for empty ones."""
-    return {name: value for name, value in vars(item).items() if value and name not in without}
+    return {
+        name: value
+        for name, value in vars(item).items()
+        if value not in ("", ()) and value is not False and name not in without
+    }
 
 
 def _described(lane: MapLane) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from charms_bench.errors import MapError
 from charms_bench.foundation.arrays import Floats
 from charms_bench.maps.draft import Draft, without_repeated
-from charms_bench.maps.elements import Element
+from charms_bench.maps.elements import LONGEST_NAME, Element
 from charms_bench.maps.road_map import MapLane, Signal
 
 CAR = "passenger"
@@ -25,7 +25,7 @@ Link = tuple[str, int]
 
 class _Reader:
     def __init__(self, root: Element) -> None:
-        self.draft = Draft(f"SUMO {root.get('version')}".strip())
+        self.draft = Draft(f"SUMO {root.get('version')[:40]}".strip())
         self.draft.left_hand_traffic = root.get("lefthand") == "true"
         self.edges: dict[str, Element] = {}
         self.connections: list[Element] = []
@@ -106,7 +106,7 @@ class _Reader:
             if any(lane not in self.draft.where for lane in (one, via or one, other)):
                 continue  # not all are for cars
             edge = self.edges[element.get("from")]
-            junction = edge.get("to") or _junction_of(edge.get("id"))
+            junction = edge.get("to")[:LONGEST_NAME] or _junction_of(edge.get("id"))
             self.draft.links[one, via or other] = junction
             if not via and edge.get("function", "normal") != "internal":
                 self.draft.open_links.add((one, other))

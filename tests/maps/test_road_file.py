@@ -104,13 +104,19 @@ def test_what_is_written_is_read_again(
     assert same(first, read_road(folder / "road.json"))
 
 
-def test_arcs_signals_and_what_was_left_out_are_kept(tmp_path: Path) -> None:
-    arc = '<geometry s="0" x="7e5" y="5e6" hdg="1" length="90"><arc curvature="-0.01"/></geometry>'
+@pytest.mark.parametrize("place", [(0.0, 0.0), (7e5, 5e6)])
+def test_arcs_signals_and_what_was_left_out_are_kept(
+    tmp_path: Path, place: tuple[float, float]
+) -> None:
+    arc = '<geometry s="0" x="{}" y="{}" hdg="1" length="90"><arc curvature="-0.01"/></geometry>'
     lanes = section(opendrive_lane(1), opendrive_lane(-1) + opendrive_lane(-2, kind="parking"))
-    signal = '<signals><signal id="s" s="5" t="1" dynamic="yes"/></signals>'
-    first = read(tmp_path, opendrive(road("1", arc, lanes, others=signal)))
+    signal = '<signals><signal id="s" s="0" t="0" dynamic="yes"/></signals>'
+    # A space without a width in a name is shown as a question mark.
+    text = opendrive(road("1\u200b", arc.format(*place), lanes, others=signal))
+    first = read(tmp_path, text)
     write_road(first, tmp_path / "road.json")
     assert {type(each.exact) for each in first.lanes} == {CircularLane}
+    assert {lane.id for lane in first.lanes} == {"1?.0.1", "1?.0.-1"}
     assert same(first, read_road(tmp_path / "road.json"))
 
 
