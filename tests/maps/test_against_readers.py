@@ -148,6 +148,58 @@ def test_reference_lines_are_within_a_centimetre_of_those_of_pyxodr() -> None:
     assert compared > 100
 
 
+OTHERWISE = {
+    "esmini_velodrome": "pyxodr does not apply superelevation",
+    "esmini_straight_500m_signs": "lane sections are divided where speed limits change",
+    "carla_town01": "pyxodr does not read all of its lanes",
+    "esmini_highway_merge": "a link leads to no lane",
+}
+"""Files whose lanes are not compared."""
+SECTION_END_M = 0.11
+"""pyxodr divides lane sections at its own points, 0.1 m apart."""
+
+
+def test_lanes_are_within_a_centimetre_of_those_of_pyxodr() -> None:
+    network = pytest.importorskip("pyxodr.road_objects.network", reason="needs pyxodr")
+    compared = 0
+    for path in sorted((DATA / "maps" / "opendrive").glob("*.xodr")):
+        if path.stem in OTHERWISE:
+            continue
+        road = read_road(path)
+        own: dict[str, list[Floats]] = {}
+        for lane in road.lanes:
+            own.setdefault(whole(lane.id), []).append(in_map(road, lane.points))
+        try:
+            theirs = network.RoadNetwork(str(path), resolution=0.1).get_roads()
+        except (IndexError, ZeroDivisionError):
+            continue
+        for each in theirs:
+            for number, section in enumerate(each.lane_sections):
+                for lane in section.lanes:
+                    parts = own.get(f"{each.id}.{number}.{lane.id}", [])
+                    if not parts:
+                        continue
+                    centre = np.asarray(lane.centre_line)[:, :2]
+                    apart = [distances(part, centre) for part in parts]
+                    assert np.min(apart, axis=0).max() <= WITHIN_M
+                    length = float(np.hypot(*np.diff(centre, axis=0).T).sum())
+                    total = sum(float(np.hypot(*np.diff(p, axis=0).T).sum()) for p in parts)
+                    assert total == pytest.approx(length, rel=1e-3, abs=SECTION_END_M)
+                    compared += 1
+    assert compared > 250
+
+
+def distances(polyline: Floats, points: Floats) -> Floats:
+    """How far each point is from a polyline."""
+    found = []
+    start, way = polyline[:-1], np.diff(polyline, axis=0)
+    for some in np.array_split(points, len(points) // 200 + 1):
+        aside = some[:, None] - start
+        along = np.clip((aside * way).sum(axis=2) / (way * way).sum(axis=1), 0, 1)
+        found.append(np.hypot(*(aside - along[..., None] * way).transpose(2, 0, 1)).min(axis=1))
+    return np.concatenate(found)
+
+
 def farthest(curve: Floats, points: Floats) -> float:
     """The largest distance of points from a finely sampled curve."""
     from scipy.spatial import cKDTree
