@@ -11,6 +11,7 @@ LIMIT_BYTES = 2**30
 DEEPEST = 64
 """Elements within elements; maps have about ten."""
 _CHUNK_BYTES = 2**20
+FORMATS = "an OpenDRIVE file, a SUMO network, a CommonRoad scenario or a road file"
 LONGEST_NAME = 200
 LARGEST = 1e9
 """No coordinate, length or polynomial coefficient of a map is beyond this."""
@@ -125,6 +126,7 @@ class _Builder:
         self.parser.CharacterDataHandler = self._add_text
         self.parser.EntityDeclHandler = self._refuse_entity
         self.parser.SkippedEntityHandler = self._refuse_entity
+        self.has_root = False
         self.open: list[Element] = []
         self.done: list[Element] = []
         """The root when it starts, and its children when they end."""
@@ -140,6 +142,7 @@ class _Builder:
         if len(self.open) > 1:
             self.open[-1].children.append(element)
         elif not self.open:
+            self.has_root = True
             self.done.append(element)
         self.open.append(element)
 
@@ -190,4 +193,5 @@ def _not_xml(builder: _Builder, error: expat.ExpatError, is_end: bool) -> MapErr
             f"{inner.line}; is it cut short?"
         )
     what = expat.errors.messages.get(error.code, "syntax error")
-    return MapError(f"line {error.lineno}: not XML: {what}")
+    expected = "" if builder.has_root else f"; expected {FORMATS}"
+    return MapError(f"line {error.lineno}: not XML: {what}{expected}")

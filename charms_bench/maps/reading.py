@@ -42,8 +42,9 @@ def read_road(
         MapError: The file cannot be read; the message names the element and its line.
     """
     path = Path(path)
-    if (around is None) != (radius is None):
-        raise MapError("around and radius: expected both or neither")
+    given = [*(around or ()), *(() if radius is None else (radius,))]
+    if len(given) not in (0, 3) or not np.isfinite(given).all():
+        raise MapError("around and radius: expected a point and a distance, or neither")
     try:
         road = _read(path)
         return road if around is None or radius is None else cut(road, around, radius)

@@ -38,6 +38,7 @@ def test_mistakes_are_one_line(tmp_path: Path) -> None:
     for arguments, what in (
         ((broken,), "leads to lane -9 at the end of road 'main', which does not have it"),
         ((RAMP, "--around", 0, 0), "--around and --radius belong together"),
+        ((RAMP, "--around", "nan", 0, "--radius", 1), "expected a point and a distance"),
         ((RAMP, "--to", exists), "exists already"),
         ((RAMP, "--to", "ramp.xml"), "does not end in .json"),
         ((RAMP, "--around", 0, 9000, "--radius", 1), "no lane is within 1 m of (0, 9000)"),

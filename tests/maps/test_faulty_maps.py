@@ -60,7 +60,7 @@ IN_A_CIRCLE = [
     for one, other, sides in ((1, 2, ("Left", "Right")), (2, 1, ("Left", "Right")))
 ]
 FAULTS = {
-    "": "line 1: not XML: no element found",
+    "": "line 1: not XML: no element found; expected an OpenDRIVE file, a SUMO network, a",
     "lanes: 3": "line 1: not XML: syntax error",
     "{": "Invalid JSON",
     "<osm/>": "line 1: the root is <osm>, no known format. Known: OpenDRIVE, commonRoad, net",
