@@ -66,7 +66,7 @@ class MapLane:
             values = vars(self.exact) | {"speed_limit": limit, "line_types": line_types}
             return type(self.exact)(**values)
         along = lengths_of(self.points)
-        if along[-1] < SHORTEST_POLYLINE_M:
+        if along[-1] < SHORTEST_POLYLINE_M + 1e-6:
             ends: tuple[Pair, Pair] = ((x[0], y[0]), (x[-1], y[-1]))
             return StraightLane(
                 start=ends[0],

@@ -192,3 +192,38 @@ def test_sections_shorter_than_a_centimetre_are_passed_over(tmp_path: Path) -> N
         "1.0.-1": ("1.2.-1",),
         "1.2.-1": (),
     }
+
+
+def test_borders_are_measured_from_the_centre(tmp_path: Path) -> None:
+    lanes = (lane(-k, polynomial("border", "sOffset", a=a)) for k, a in ((1, -3.0), (2, -7.0)))
+    found = lanes_of(read(tmp_path, opendrive(road("1", FORTH, section(right="".join(lanes))))))
+    assert [each.points[0, [1, 3]].tolist() for each in found.values()] == [[1.5, 3], [5, 4]]
+
+
+def test_a_section_of_one_side_leaves_the_other_side_whole(tmp_path: Path) -> None:
+    first = section(lane(1), lane(-1, after=-1))
+    second = section(right=lane(-1, before=-1), s=60.0).replace(" s=", ' singleSide="true" s=')
+    found = lanes_of(read(tmp_path, opendrive(road("1", FORTH, first + second))))
+    assert {name: each.length for name, each in found.items()} == {
+        "1.0.1": 100,
+        "1.0.-1": 60,
+        "1.1.-1": 40,
+    }
+    assert found["1.0.-1"].successors == ("1.1.-1",)
+
+
+@pytest.mark.parametrize(
+    ("kind", "attributes", "reason"),
+    [
+        ("bidirectional", "", "of type 'bidirectional'"),
+        ("driving", 'direction="reversed"', "of direction 'reversed'"),
+        ("bus", "", "of type 'bus'"),
+    ],
+)
+def test_lanes_that_cars_do_not_drive_as_others_are_left_out(
+    tmp_path: Path, kind: str, attributes: str, reason: str
+) -> None:
+    odd = lane(-2, kind=kind).replace("<lane ", f"<lane {attributes} ")
+    found = read(tmp_path, opendrive(road("1", FORTH, section(right=lane(-1) + odd))))
+    assert list(lanes_of(found)) == ["1.0.-1"]
+    assert found.left_out == {reason: 1}
