@@ -1,7 +1,4 @@
-"""Maps are what independent readers say: sumolib, commonroad-io and pyxodr.
-
-pip install sumolib commonroad-io pyxodr
-"""
+"""Maps are what independent readers say: sumolib, commonroad-io and pyxodr; `tox -e maps`."""
 
 import warnings
 from pathlib import Path
