@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from charms_bench.engine.state_file import save_state as save_state
     from charms_bench.errors import CharmsBenchError as CharmsBenchError
     from charms_bench.foundation.compiled import compiled as compiled
+    from charms_bench.maps.reading import read_road as read_road
+    from charms_bench.maps.road_file import write_road as write_road
+    from charms_bench.maps.road_map import RoadMap as RoadMap
     from charms_bench.people.reference import references as references
     from charms_bench.plugins.agent import DriverModel as DriverModel
     from charms_bench.plugins.agent import Policy as Policy
@@ -49,6 +52,9 @@ _NAMES = {
     "engine.state": "SceneState",
     "engine.state_file": "load_state save_state",
     "errors": "CharmsBenchError",
+    "maps.reading": "read_road",
+    "maps.road_file": "write_road",
+    "maps.road_map": "RoadMap",
     "people.reference": "references",
     "plugins.agent": "DriverModel Policy",
     "plugins.event": "Event",

@@ -7,7 +7,8 @@ CharmsBenchError
 │   ├── RegistryError   a plugin is unknown, claimed twice or cannot be loaded
 │   ├── ModelError      an ONNX file is missing, broken or of the wrong shape
 │   ├── RunFolderError  a run folder cannot be read, written or continued
-│   └── DataError       recorded driving is missing, damaged or unusable
+│   ├── DataError       recorded driving is missing, damaged or unusable
+│   └── MapError        a road map cannot be read; names the element
 ├── AgentError          an agent raised an exception or returned something unusable
 │   └── BrokenWordError  a plugin answered one question in two ways, or changed its input
 └── WorkerError         a worker process died again and again, or took too long
@@ -74,6 +75,10 @@ class RunFolderError(InputError):
 
 class DataError(InputError):
     """Recorded driving cannot be read or used."""
+
+
+class MapError(InputError):
+    """A road map cannot be read or used."""
 
 
 class AgentError(CharmsBenchError):

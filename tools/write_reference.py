@@ -20,6 +20,17 @@ from typer.cli import get_docs_for_click
 
 from charms_bench.cli import app
 from charms_bench.cli.terminal import EXITS
+from charms_bench.maps.road_file import (
+    CircularFileLane,
+    FileConflict,
+    FileGap,
+    FileRoad,
+    FileSignal,
+    PolylineLane,
+    RoadFile,
+    SineFileLane,
+    StraightFileLane,
+)
 from charms_bench.metrics import METRIC_SETS, ROADS, SCENARIOS, Metric
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
@@ -55,6 +66,18 @@ SUITE_KEYS: dict[str, type[BaseModel]] = {
     "scenario.vehicles[].actions[]": Action,
 }
 """The models of a suite, each by the key under which it stands in YAML."""
+ROAD_KEYS: dict[str, type[BaseModel]] = {
+    "file": RoadFile,
+    "road": FileRoad,
+    "straight lane": StraightFileLane,
+    "sine lane": SineFileLane,
+    "circular lane": CircularFileLane,
+    "polyline lane": PolylineLane,
+    "conflict": FileConflict,
+    "signal": FileSignal,
+    "gap": FileGap,
+}
+"""The models of a road file, each by what it describes."""
 NAMED = {"Profile": "[profile](#profiles)", "LatinHypercube": "`{latin_hypercube: N}`"}
 """Models that stand nowhere else in the tables."""
 KINDS = {
@@ -104,8 +127,13 @@ def kind(schema: dict[str, Any]) -> str:
     """What a JSON schema allows, in words."""
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]
-        keys = [key for key, model in SUITE_KEYS.items() if model.__name__ == name]
+        known = SUITE_KEYS | ROAD_KEYS
+        keys = [key for key, model in known.items() if model.__name__ == name]
         return f"[`{keys[0]}`](#{anchor(keys[0])})" if keys else NAMED[name]
+    if "const" in schema:
+        return f"`{schema['const']}`"
+    if "oneOf" in schema:
+        return " or ".join(kind(each) for each in schema["oneOf"])
     if "anyOf" in schema:
         parts = [kind(each) for each in schema["anyOf"] if each.get("type") != "null"]
         if parts == ["number", "text"]:  # `charms_bench.foundation.formula`
@@ -156,7 +184,9 @@ def keys_of(model: type[BaseModel]) -> str:
         if field.exclude or name == "sha256":
             continue
         key = field.alias or name
-        fallback = "required" if key in required else default(field.get_default())
+        fallback = (
+            "required" if key in required else default(field.get_default(call_default_factory=True))
+        )
         if name == "profile":
             fallback = "`charms`"
         rows.append((f"`{key}`", kind(schema["properties"][key]), fallback, said.get(name, "")))
@@ -168,6 +198,13 @@ def suite_keys() -> str:
     return sections(
         (headings[key], f"{inspect.getdoc(model)}\n\n{keys_of(model)}")
         for key, model in SUITE_KEYS.items()
+    )
+
+
+def road_file() -> str:
+    return sections(
+        (key.capitalize(), f"{inspect.getdoc(model)}\n\n{keys_of(model)}")
+        for key, model in ROAD_KEYS.items()
     )
 
 
@@ -233,6 +270,7 @@ def commands() -> str:
 
 WRITERS: dict[str, Callable[[], str]] = {
     "suite-keys": suite_keys,
+    "road-file": road_file,
     "profiles": profiles,
     "metrics": metrics,
     "columns": columns,

@@ -26,7 +26,7 @@ from charms_bench.foundation.files import absolute
 from charms_bench.foundation.streams import write_reliably
 
 # In the order of `--help`. Importing a module adds its commands to `app`.
-from charms_bench.cli import evaluations, episodes, watching, plugins, engines, data  # isort: skip # noqa: F401
+from charms_bench.cli import evaluations, episodes, watching, plugins, engines, data, maps  # isort: skip # noqa: F401
 
 MESSAGE_LIMIT = 1000
 """Characters of an error message: a file from outside can make it very long."""

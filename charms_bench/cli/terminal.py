@@ -44,6 +44,7 @@ FAILURES = "Find and explain failures"
 AGENTS = "Agents and traffic models"
 ENGINE = "The engine"
 DATA = "Human driving and datasets"
+ROADS = "Roads"
 """The groups of commands in `--help`, each a command's `rich_help_panel`."""
 
 

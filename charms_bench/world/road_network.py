@@ -125,7 +125,7 @@ def network_of(lanes: Iterable[tuple[str, str, Lane]]) -> Network:
     firsts = np.cumsum([0, *(len(road) for _, _, road in roads)]).tolist()
     first_of = {(start, end): first for (start, end, _), first in zip(roads, firsts, strict=False)}
     table = np.zeros(firsts[-1], LANE)
-    curves = [np.zeros(0, CURVE)]
+    curves, points = [np.zeros(0, CURVE)], 0
     successors: list[int] = []
     for start, end, road in roads:
         first = first_of[start, end]
@@ -138,8 +138,9 @@ def network_of(lanes: Iterable[tuple[str, str, Lane]]) -> Network:
             row["first"], row["lanes"] = first, len(road)
             row["next_roads"], row["next_count"] = len(successors), len(following)
             if isinstance(lane, PolyLane):
-                row["curve"] = sum(map(len, curves))
+                row["curve"] = points
                 curves.append(_trace(row, lane))
+                points += len(curves[-1])
         successors += following
     return Network(table, np.concatenate(curves), np.array(successors, dtype=np.int64))
 

@@ -1,0 +1,112 @@
+"""`road`: what is in a road map."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import charms_bench
+from charms_bench.cli.terminal import (
+    ROADS,
+    FigurePath,
+    Json,
+    app,
+    end_with_json,
+    print_records,
+    say,
+    shown,
+)
+from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute
+from charms_bench.foundation.words import counted
+
+MOST_GAPS = 10
+"""The gaps that are listed one by one; `--json` has all."""
+
+
+@app.command(rich_help_panel=ROADS)
+def road(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="OpenDRIVE file, SUMO network, CommonRoad scenario, or road file of charms-bench.",
+        ),
+    ],
+    to: Annotated[
+        Path | None, typer.Option(help="New file NAME.json for the roads, a road file.")
+    ] = None,
+    figure: FigurePath = None,
+    around: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="X Y",
+            help="Keep only roads that come within --radius of this point of the map, m.",
+        ),
+    ] = None,
+    radius: Annotated[
+        float | None, typer.Option(min=0.0, help="How far roads may be from --around, m.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Describe a road map, and write it as a road file."""
+    if (around is None) != (radius is None):
+        raise InputError("--around and --radius belong together; expected both or neither")
+    if to is not None and (to.suffix != ".json" or to.exists()):
+        what = "exists already" if to.suffix == ".json" else "does not end in .json"
+        raise InputError(f"{to}: {what}; expected the name of a new file that ends in .json")
+    found = charms_bench.read_road(absolute(file), around=around, radius=radius)
+    if to is not None:
+        charms_bench.write_road(found, absolute(to))
+    if figure is not None:
+        from charms_bench.report.figures.drawing import save
+        from charms_bench.report.figures.road_map import draw
+
+        save(draw(found), figure)
+    facts = found.facts()
+    if as_json:
+        end_with_json(facts)
+    records = [{"fact": fact, "found": value} for fact, value in _in_words(facts).items()]
+    print_records("fact", records, {"found": ""})
+    gaps = facts["gaps"]
+    for gap in gaps[:MOST_GAPS]:
+        one, other = gap["lanes"]
+        say(f"Gap of {gap['length_m']:.2f} m between lanes {one} and {other}, bridged")
+    if len(gaps) > MOST_GAPS:
+        say(f"and {len(gaps) - MOST_GAPS:,} more gaps")
+    if back := facts["lanes_that_turn_back"]:
+        more = f", and {len(back) - MOST_GAPS:,} more" if len(back) > MOST_GAPS else ""
+        say(f"Lanes with a kink of more than 90 degrees: {', '.join(back[:MOST_GAPS])}{more}")
+    for path in filter(None, (to, figure)):
+        say(f"Written: {shown(absolute(path))}")
+
+
+def _in_words(facts: dict[str, Any]) -> dict[str, str]:
+    """The facts of a map in words, by what they are about."""
+    limits = ", ".join(f"{limit:.1f}" for limit in facts["speed_limits_mps"][:8])
+    if len(facts["speed_limits_mps"]) > 8:
+        limits += f", ... {facts['speed_limits_mps'][-1]:.1f}"
+    unstated = facts["lanes_without_speed_limit"]
+    conflicts = facts["crossing_conflicts"] + facts["merging_conflicts"]
+    out = "; ".join(f"{count:,} {reason}" for reason, count in facts["left_out"].items())
+    (x, right), (y, top) = facts["x_m"], facts["y_m"]
+    return {
+        "format": facts["format"] or "road file",
+        "traffic": f"on the {'left' if facts['left_hand_traffic'] else 'right'}",
+        "lanes": f"{facts['lanes']:,}, {facts['lane_km']:z.2f} lane-km",
+        "roads": f"{facts['roads']:,} between {facts['nodes']:,} nodes",
+        "junctions": f"{facts['junctions']:,}",
+        "starts and ends": f"no lane leads to {counted(facts['starts'], 'lane')}, and none follows "
+        f"{counted(facts['ends'], 'lane')}",
+        "speed limits, m/s": "; ".join(
+            filter(None, (limits, f"none stated for {unstated:,} lanes" if unstated else ""))
+        ),
+        "lane widths, m": "{:.2f} to {:.2f}".format(*facts["width_m"]),
+        "conflicts": f"{facts['crossing_conflicts']:,} crossing and {facts['merging_conflicts']:,} "
+        f"merging; right of way is known for {facts['conflicts_with_right_of_way']:,} of "
+        f"{conflicts:,}",
+        "lights and signs": f"{facts['lights']:,} and {facts['signs']:,}",
+        "gaps bridged": f"{len(facts['gaps']):,}",
+        "extent, m": f"x {x:.1f} to {right:.1f}, y {y:.1f} to {top:.1f}",
+        "left out": out or "nothing",
+    }
