@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -77,7 +77,8 @@ def use_exact_maths(engine: EngineName, environments: bool = False) -> None:
 def _replace(names: Collection[str]) -> None:
     """Replaces what modules compute with."""
     for name in names:
-        vars(import_module(f"highway_env.{name}"))["np"] = _numpy
+        replaced = vars(import_module(f"highway_env.{name}"))
+        replaced["np"], replaced["sum"] = _numpy, _sum
     spline: Any = import_module("highway_env.road.spline")
     spline.CurvePose = _of_arrays(spline.CurvePose)
     if "envs.racetrack_env" in names:
@@ -87,6 +88,14 @@ def _replace(names: Collection[str]) -> None:
         keeping._reward = _reward_for_keeping_a_lane
         linear: Any = import_module("highway_env.vehicle.behavior").LinearVehicle
         linear.steering_features = _of_a_product(linear.steering_features)
+
+
+def _sum(numbers: Iterable[Any]) -> Any:
+    """As `sum` before Python 3.12, which then began to make up for what rounding loses."""
+    total: Any = 0
+    for each in numbers:
+        total += each
+    return total
 
 
 class _Numpy(ModuleType):

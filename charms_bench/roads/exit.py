@@ -116,7 +116,7 @@ class Exit(Task):
         """[`ExitEnv._is_success`]"""
         ego = scenes.vehicles[:, 0]
         lane = np.where(ego["kind"] == COMMANDED, ego["target_lane"], ego["lane"])
-        return np.isin(lane, (self._rule.exit_lane, self._rule.exit_ramp))
+        return np.asarray((lane == self._rule.exit_lane) | (lane == self._rule.exit_ramp))
 
 
 @compiled_of_scenes

@@ -4,21 +4,23 @@ On the straight road, `recording.fault` judges by lanes alone. Here, vehicles me
 so the rule first asks who had the right of way. It follows the Vienna Convention on Road Traffic
 (1968); where that leaves a number open, it is this project's choice.
 
-1. Whoever strikes an obstacle or a wreck is at fault.
-2. **Oncoming** (the angle is above 120 degrees): the vehicle on a lane of the other direction, or
-   beside all lanes (Articles 11 and 12).
+1. Whoever strikes an obstacle or a wreck is at fault, and whoever drives backwards (Article 14).
+2. **Oncoming** (the angle is above 120 degrees): the vehicle on a lane of the other direction,
+   beside all lanes, or on a lane of both directions with another one to its right (Articles 10 to
+   12).
 3. **Right of way**: a lane of a ramp or of the entry of a roundabout yields to the main lanes, and
    in an intersection, a lane yields to those with a higher priority (Article 18). It counts for
-   `RECENT_S` after a vehicle has left the lane. The vehicle that should have yielded is at fault,
+   `YIELDING_S` after a vehicle has left the lane. The vehicle that should have yielded is at fault,
    unless the other one strikes it and could have braked: from where it came into the way of the
    other, this required at most 3.35 m/s2 (Archer 2005).
-4. **Rear end** (the angle is below 26 degrees): the striking vehicle, which has to keep its
-   distance (Article 13). But if the struck vehicle came into its way within the last `RECENT_S`,
-   and that required more than 3.35 m/s2, it is the struck vehicle (Article 14).
+4. **Rear end** (the angle is below 26 degrees, or one of the two stands): the striking vehicle,
+   which has to keep its distance (Article 13). But if the struck vehicle came into its way within
+   the last `RECENT_S`, and that required more than 3.35 m/s2, it is the struck vehicle (Article
+   14).
 5. **Crossing**, above 60 degrees, where neither lane has the right of way: the vehicle that has the
    other one on its right yields, as in 3.
-6. **Side by side**: the vehicle that began last to move out of its lane, or both if they began in
-   the same simulation step, as in `recording.fault`.
+6. **Side by side**: the vehicle that began last to move out of its lane and has not returned to
+   its middle, or both if they began in the same simulation step.
 
 What this does not decide is undecided, such as a vehicle that meets another one beside the lanes of
 both.
@@ -40,7 +42,11 @@ from charms_bench.world.scene import Vehicles
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
 RECENT_S = 2.0
-"""So long after it, a change of lanes or of roads is the reason of a collision."""
+"""So long after a vehicle has come into the way of another one, that is why they collide."""
+YIELDING_S = 1.0
+"""So long after a vehicle has left a lane, it is bound by what the lane yields to."""
+STANDING_MPS, BACKWARDS_MPS = 0.5, -0.5
+"""A vehicle that is not faster stands, and one that is not faster than this drives backwards."""
 KEPT_S = 5.0
 """So much of what vehicles did is looked at."""
 REAR_END_COS, SIDE_COS = 0.9, 0.5
@@ -55,7 +61,7 @@ MOMENT = np.dtype(
 
 
 class Track(NamedTuple):
-    """What a vehicle did in T simulation steps, the last of which is that of its collision."""
+    """What a vehicle did in T simulation steps, the last of which is that before a collision."""
 
     moments: NDArray[np.void]
     """(T,) rows of `MOMENT`; m, rad, m/s, and the nearest lane."""
@@ -115,7 +121,8 @@ class Fault:
 
     def _track(self, scenes: Scenes, b: int, i: int) -> Track:
         kept, noted = len(self._moments), int(self._noted[b])
-        steps = np.arange(max(noted - kept, 0), noted) % kept
+        # In the step of the collision, its impact has already moved the vehicles.
+        steps = np.arange(max(noted - kept, 0), max(noted - 1, 1)) % kept
         vehicle = scenes.vehicles[b, i]
         size = float(vehicle["length"]), float(vehicle["width"])
         return Track(self._moments[steps, b, i], *size)
@@ -164,17 +171,27 @@ def at_fault(
         other: The other vehicle, over the same T steps.
         dt: The duration of a simulation step, s.
     """
-    recent = round(RECENT_S / dt)
+    recent, yielding = round(RECENT_S / dt), round(YIELDING_S / dt)
+    is_back, other_is_back = (
+        bool(each.moments["speed"][-1] <= BACKWARDS_MPS) for each in (one, other)
+    )
+    if is_back != other_is_back:
+        return is_back, other_is_back
     apart = float(other.moments["heading"][-1] - one.moments["heading"][-1])
     cosine = math.cos(apart)
     if cosine <= -SIDE_COS:
         is_wrong, other_is_wrong = _is_on_wrong_side(road, one), _is_on_wrong_side(road, other)
         if is_wrong != other_is_wrong:
             return is_wrong, other_is_wrong
-    rank, other_rank = (_rank(ranks, each, recent) for each in (one, other))
+    rank, other_rank = (_rank(ranks, each, yielding) for each in (one, other))
     has_ranks = NO_RANK not in (rank, other_rank)
     if has_ranks and rank != other_rank:
         return _of_intruder(rank < other_rank, one, other, None)
+    stands, other_stands = (
+        bool(each.moments["speed"][-1] <= STANDING_MPS) for each in (one, other)
+    )
+    if stands != other_stands:
+        return _of_intruder(stands, one, other, recent)
     if cosine >= REAR_END_COS and (ahead := _ahead(one, other)) is not None:
         return _of_intruder(ahead is one, one, other, recent)
     if has_ranks and abs(cosine) < SIDE_COS:
@@ -260,7 +277,9 @@ def _seen_from(one: Track, x: Any, y: Any) -> tuple[Any, Any]:
 
 
 def _strikes(one: Track, other: Track) -> bool:
-    """Whether a vehicle touches another one with its front: with its nearest point to the other."""
+    """Whether a vehicle moves into a standing one, or touches another one with its front."""
+    if other.moments["speed"][-1] <= STANDING_MPS < one.moments["speed"][-1]:
+        return True
     points = _points(other, -1)
     ahead, aside = _seen_from(one, points[:, 0], points[:, 1])
     nearest = np.argmin(np.maximum(np.abs(ahead) / one.length, np.abs(aside) / one.width))
@@ -285,26 +304,33 @@ def _rank(ranks: Ints, track: Track, recent: int) -> int:
 
 
 def _is_on_wrong_side(road: Network, track: Track) -> bool:
-    """Whether a vehicle's centre is on no lane of its direction."""
+    """Whether a vehicle is on no lane of its direction, or could drive to the right of oncomers."""
     own = track.moments[-1]
     x, y = float(own["x"]), float(own["y"])
-    for lane in range(road.lanes.size):
-        if is_on_lane(road, lane, x, y, 0.0):
-            s, _ = local_coordinates(road, lane, x, y)
-            if math.cos(heading_at(road, lane, s) - own["heading"]) > 0:
-                return False
-    return True
+    here = [lane for lane in range(road.lanes.size) if is_on_lane(road, lane, x, y, 0.0)]
+    is_mine = {}
+    for lane in here:
+        s, _ = local_coordinates(road, lane, x, y)
+        is_mine[lane] = math.cos(heading_at(road, lane, s) - own["heading"]) > 0
+    mine = [lane for lane in here if is_mine[lane]]
+    is_shared = len(mine) < len(here)
+    return not mine or (is_shared and all(road.lanes["right"][lane] >= 0 for lane in mine))
 
 
 def _moved_out(road: Network, track: Track) -> int:
-    """The step in which a vehicle last began to move out of its nearest lane; -1 if it did not."""
-    began, was_moving = -1, False
+    """The step in which a vehicle last began to move out of its nearest lane.
+
+    -1 if it has kept its lane, or has returned to its middle.
+    """
+    began, left, was_moving = -1, -1, False
     for k, moment in enumerate(track.moments):
         lane = int(moment["lane"])
         s, r = local_coordinates(road, lane, float(moment["x"]), float(moment["y"]))
         drift = moment["speed"] * math.sin(moment["heading"] - heading_at(road, lane, s))
         is_moving = abs(r) > LANE_KEEPING_M and drift * math.copysign(1.0, r) > DRIFT_MPS
         if is_moving and not was_moving:
-            began = k
+            began, left = k, lane
+        elif lane == left and abs(r) <= LANE_KEEPING_M:
+            began = -1
         was_moving = is_moving
     return began

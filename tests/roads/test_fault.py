@@ -129,6 +129,26 @@ def test_who_meets_traffic_on_its_side_of_the_road_is_at_fault() -> None:
     assert at_fault(TWO_WAYS, NOBODY, oncoming, overtaking, DT) == OTHER
 
 
+def test_who_overtakes_on_a_lane_of_both_directions_is_at_fault() -> None:
+    ahead = StraightLane(start=(-300.0, 0.0), end=(300.0, 0.0))
+    right = StraightLane(start=(-300.0, 4.0), end=(300.0, 4.0))
+    back = StraightLane(start=(300.0, 0.0), end=(-300.0, 0.0))
+    road = network_of([("a", "b", ahead), ("a", "b", right), ("b", "a", back)])
+    nobody = np.full(3, NO_RANK)
+    tracks = drive(road, 20, 0, 0.5), drive(road, 15, 4.9, 0, math.pi)
+    assert at_fault(road, nobody, *tracks, DT) == FIRST
+
+
+def test_who_drives_backwards_is_at_fault() -> None:
+    tracks = drive(TWO_LANES, 5, 0, 0), drive(TWO_LANES, -3, 4.9, 0)
+    assert at_fault(TWO_LANES, NOBODY, *tracks, DT) == OTHER
+
+
+def test_who_turns_into_a_standing_vehicle_is_at_fault() -> None:
+    tracks = drive(TWO_LANES, 8, 0, 1.5, math.pi / 6), drive(TWO_LANES, 0, 2.0, 4.1)
+    assert at_fault(TWO_LANES, NOBODY, *tracks, DT) == FIRST
+
+
 NORTH = -math.pi / 2
 CROSSES = {
     "strikes the side": ((15, 0, 0), (15, 3.4, 1, NORTH)),
