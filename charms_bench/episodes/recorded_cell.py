@@ -209,7 +209,7 @@ def find_cell(
     folder: Path,
     ego: str | None,
     traffic: str | None,
-    road: str | None,
+    road: str | None = None,
     how: str = "",
 ) -> RecordedCell:
     """Returns the only one of `find_cells`, or raises an `InputError` that says `how` to choose."""

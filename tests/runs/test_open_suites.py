@@ -89,9 +89,12 @@ def test_a_run_is_read_again_from_its_folder(made: Any) -> None:
     assert open_run(made.path).table.frame().equals(made.table.frame())
 
 
-@pytest.mark.parametrize("key", ["network", "scenario"])
-def test_what_the_traffic_model_decides_is_no_key_of_a_scene(key: str) -> None:
-    with pytest.raises(ValidationError, match="as a traffic model"):
+@pytest.mark.parametrize(
+    ("key", "where"),
+    [("network", "suite's `roads`"), ("road", "suite's `roads`"), ("scenario", "a traffic model")],
+)
+def test_what_a_cell_decides_is_no_key_of_a_scene(key: str, where: str) -> None:
+    with pytest.raises(ValidationError, match=where):
         SceneSettings.model_validate({key: "roundabout-v0"})
 
 
