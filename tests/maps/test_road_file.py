@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from handmade_maps import connection, edge, lanes_of, opendrive, read, road, section, sumo
+from handmade_maps import connection, edge, lanes_of, opendrive, read, road, same, section, sumo
 from handmade_maps import lane as opendrive_lane
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from charms_bench.errors import MapError
 from charms_bench.maps.reading import read_road
 from charms_bench.maps.road_file import write_road
-from charms_bench.maps.road_map import RoadMap
 from charms_bench.roads.layout import Layout
 from charms_bench.world.road_network import CircularLane, SineLane, StraightLane
 
@@ -51,21 +50,6 @@ HANDMADE: dict[str, Any] = {
     "conflicts": [{"lanes": ["out", "by"], "at": [1, 2], "kind": "crossing", "gives_way": "by"}],
     "signals": [{"id": "1", "kind": "light", "x": 1, "y": 2, "lanes": ["in"]}],
 }  # fmt: skip
-
-
-def same(one: RoadMap, other: RoadMap) -> bool:
-    """Whether two maps are the same to the last bit."""
-    pairs = zip(one.lanes, other.lanes, strict=True)
-    lanes = all(
-        vars(a) | {"points": 0} == vars(b) | {"points": 0} and np.array_equal(a.points, b.points)
-        for a, b in pairs
-    )
-    roads = [
-        [(each.start, each.end, each.junction, each.roundabout) for each in road.roads]
-        for road in (one, other)
-    ]
-    others = [{k: v for k, v in vars(road).items() if k != "roads"} for road in (one, other)]
-    return lanes and roads[0] == roads[1] and others[0] == others[1]
 
 
 numbers = st.floats(-1000, 1000).map(lambda value: round(value, 3))
