@@ -19,6 +19,11 @@ WIDEST_GAP_M = 100.0
 """Wider gaps are a fault of the map."""
 
 
+def touch(end: Floats, start: Floats) -> bool:
+    """Whether a lane that ends at a point (x, y, height, width) touches one that starts there."""
+    return bool(np.hypot(*(start - end)[:2]) <= TOUCH_M + abs(end[3] - start[3]) / 2)
+
+
 def bridged(draft: Draft, roads: Sequence[MapRoad]) -> tuple[Links, list[MapRoad], list[Gap]]:
     """The links with bridges in those of lanes that do not touch, the bridges, and the gaps."""
     lane_of = {lane.id: lane for road in roads for lane in road.lanes}
@@ -26,10 +31,10 @@ def bridged(draft: Draft, roads: Sequence[MapRoad]) -> tuple[Links, list[MapRoad
     bridges, gaps = [], []
     for (one, other), junction in draft.links.items():
         end, start = lane_of[one].points[-1], lane_of[other].points[0]
-        gap = float(np.hypot(*(start - end)[:2]))
-        if gap <= TOUCH_M + abs(end[3] - start[3]) / 2:
+        if touch(end, start):
             links[one, other] = junction
             continue
+        gap = float(np.hypot(*(start - end)[:2]))
         most = WIDEST_GAP_M if (one, other) in draft.open_links else TOUCH_M
         if gap > most:
             raise MapError(

@@ -18,7 +18,7 @@ END_M = 1.0
 _STEEP = 0.17
 """Lanes whose angle has a smaller sine cross only if they change sides, by `_ASIDE_M` within
 `_NEAR_M`: polylines of lanes that lie on each other cross without a meaning."""
-_ASIDE_M = 0.05
+_ASIDE_M = 0.03
 _NEAR_M = 10.0
 SAME_M = 1.0
 """Crossings of two lanes that are closer along both are one."""
@@ -71,20 +71,17 @@ def _changes_sides(one: Floats, s: float, other: Floats, r: float) -> bool:
         points = (one, other)[k]
         return np.array([np.interp(distance, along[k], points[:, axis]) for axis in range(2)])
 
-    ahead = min(_NEAR_M, along[0][-1] - s, along[1][-1] - r)
-    behind = min(_NEAR_M, s, r)
-    way = place(1, r + ahead) - place(1, r - behind)
-    if way @ (place(0, s + ahead) - place(0, s - behind)) < 0:  # they lead in opposite directions
-        ahead, behind = min(_NEAR_M, along[0][-1] - s, r), min(_NEAR_M, s, along[1][-1] - r)
-        aside = [
-            place(0, s - behind) - place(1, r + behind),
-            place(0, s + ahead) - place(1, r - ahead),
-        ]
-    else:
-        aside = [
-            place(0, s - behind) - place(1, r - behind),
-            place(0, s + ahead) - place(1, r + ahead),
-        ]
+    # Half of the way to an end: where lanes part or join, they are on no side.
+    room = [
+        [min(_NEAR_M, distance / 2) for distance in (at, length - at)]
+        for at, length in ((s, along[0][-1]), (r, along[1][-1]))
+    ]
+    way = place(1, r + room[1][1]) - place(1, r - room[1][0])
+    turn = 1 if way @ (place(0, s + room[0][1]) - place(0, s - room[0][0])) >= 0 else -1
+    aside = []
+    for sign in (-1, 1):
+        near = min(room[0][sign > 0], room[1][sign * turn > 0])
+        aside.append(place(0, s + sign * near) - place(1, r + sign * turn * near))
     before, after = (float(way[0] * each[1] - way[1] * each[0]) for each in aside)
     least = _ASIDE_M * float(np.hypot(*way))
     return before * after < 0 and min(abs(before), abs(after)) > least

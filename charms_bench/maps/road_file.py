@@ -16,6 +16,8 @@ from charms_bench.foundation.fields import (
     Positive,
 )
 from charms_bench.foundation.files import read_limited, write_bytes
+from charms_bench.maps.bridging import touch
+from charms_bench.maps.conflicts import conflicts_of
 from charms_bench.maps.road_map import (
     Conflict,
     Exact,
@@ -195,8 +197,8 @@ class RoadFile(FrozenModel):
     """How many lanes of the map are not in the file, by the reason."""
     roads: Annotated[tuple[FileRoad, ...], Field(strict=False, min_length=1)]
     """All roads."""
-    conflicts: Annotated[tuple[FileConflict, ...], Field(strict=False)] = ()
-    """Where lanes cross or merge."""
+    conflicts: Annotated[tuple[FileConflict, ...], Field(strict=False)] | None = None
+    """Where lanes cross or merge; without this key, they are looked for."""
     signals: Annotated[tuple[FileSignal, ...], Field(strict=False)] = ()
     """Traffic lights and signs."""
     gaps: Annotated[tuple[FileGap, ...], Field(strict=False)] = ()
@@ -299,7 +301,11 @@ def read_road_file(path: Path) -> RoadMap:
         left_hand_traffic=file.left_hand_traffic,
         junctions=file.junctions,
         conflicts=tuple(
-            Conflict(each.lanes, each.at, each.kind, each.gives_way) for each in file.conflicts
+            conflicts_of(roads, set())
+            if file.conflicts is None
+            else (
+                Conflict(each.lanes, each.at, each.kind, each.gives_way) for each in file.conflicts
+            )
         ),
         signals=tuple(
             Signal(each.id, each.kind, each.x, each.y, each.code, each.lanes)
@@ -346,7 +352,7 @@ def _problem(exact: Exact) -> str:
 def _check(file: RoadFile, roads: tuple[MapRoad, ...]) -> None:
     """Raises a `MapError` if the parts of a file do not fit together."""
     road_of: dict[str, MapRoad] = {}
-    length_of: dict[str, float] = {}
+    lane_of: dict[str, MapLane] = {}
     seen: dict[tuple[str, str], int] = {}
     for k, road in enumerate(roads):
         if seen.setdefault((road.start, road.end), k) != k:
@@ -357,7 +363,7 @@ def _check(file: RoadFile, roads: tuple[MapRoad, ...]) -> None:
         for n, lane in enumerate(road.lanes):
             if lane.id in road_of:
                 raise MapError(f"roads.{k}.lanes.{n}.id: another lane is named {lane.id!r}")
-            road_of[lane.id], length_of[lane.id] = road, lane.length
+            road_of[lane.id], lane_of[lane.id] = road, lane
     for k, road in enumerate(roads):
         for n, lane in enumerate(road.lanes):
             for name in lane.successors:
@@ -369,10 +375,16 @@ def _check(file: RoadFile, roads: tuple[MapRoad, ...]) -> None:
                         f"{where}: lane {name!r} starts at node {road_of[name].start!r}; "
                         f"expected {road.end!r}, at which this road ends"
                     )
+                if not touch(lane.points[-1], lane_of[name].points[0]):
+                    end, start = (
+                        "({:g}, {:g})".format(*each[:2])
+                        for each in (lane.points[-1], lane_of[name].points[0])
+                    )
+                    raise MapError(f"{where}: lane {name!r} starts at {start}; expected {end}")
     named = [
         *(
             (f"conflicts.{k}", [*each.lanes, each.gives_way])
-            for k, each in enumerate(file.conflicts)
+            for k, each in enumerate(file.conflicts or ())
         ),
         *((f"signals.{k}", each.lanes) for k, each in enumerate(file.signals)),
         *((f"gaps.{k}", [*each.lanes, *each.bridge]) for k, each in enumerate(file.gaps)),
@@ -381,11 +393,11 @@ def _check(file: RoadFile, roads: tuple[MapRoad, ...]) -> None:
         for name in names:
             if name and name not in road_of:
                 raise MapError(f"{where}: there is no lane {name!r}")
-    for k, each in enumerate(file.conflicts):
+    for k, each in enumerate(file.conflicts or ()):
         if each.gives_way and each.gives_way not in each.lanes:
             raise MapError(f"conflicts.{k}.gives_way: is not one of the two lanes")
         for name, at in zip(each.lanes, each.at, strict=True):
-            if at > length_of[name] + _ALONG_M:
+            if at > (length := lane_of[name].length) + _ALONG_M:
                 raise MapError(
-                    f"conflicts.{k}.at: {at:g} m, but lane {name!r} is {length_of[name]:g} m long"
+                    f"conflicts.{k}.at: {at:g} m, but lane {name!r} is {length:g} m long"
                 )

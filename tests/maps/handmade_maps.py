@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
+
 from charms_bench.maps.reading import read_road
 from charms_bench.maps.road_map import MapLane, RoadMap
 
@@ -14,6 +16,21 @@ def read(folder: Path, text: str, name: str = "map.xml") -> RoadMap:
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return read_road(path)
+
+
+def same(one: RoadMap, other: RoadMap) -> bool:
+    """Whether two maps are the same to the last bit."""
+    pairs = zip(one.lanes, other.lanes, strict=True)
+    lanes = all(
+        vars(a) | {"points": 0} == vars(b) | {"points": 0} and np.array_equal(a.points, b.points)
+        for a, b in pairs
+    )
+    roads = [
+        [(each.start, each.end, each.junction, each.roundabout) for each in road.roads]
+        for road in (one, other)
+    ]
+    others = [{k: v for k, v in vars(road).items() if k != "roads"} for road in (one, other)]
+    return lanes and roads[0] == roads[1] and others[0] == others[1]
 
 
 def lanes_of(road: RoadMap) -> dict[str, MapLane]:

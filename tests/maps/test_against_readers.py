@@ -19,6 +19,14 @@ pytestmark = [
     pytest.mark.filterwarnings("default"),
 ]
 WITHIN_M = 0.01
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyxodr draws arcs that it rejects into the current folder."""
+    monkeypatch.chdir(tmp_path)
+
+
 REJECTED = 2
 """How many of the files pyxodr 0.1.3 does not read; it takes some arcs for turned round."""
 

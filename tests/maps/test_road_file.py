@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from handmade_maps import connection, edge, lanes_of, opendrive, read, road, section, sumo
+from handmade_maps import connection, edge, lanes_of, opendrive, read, road, same, section, sumo
 from handmade_maps import lane as opendrive_lane
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 from charms_bench.errors import MapError
 from charms_bench.maps.reading import read_road
 from charms_bench.maps.road_file import write_road
-from charms_bench.maps.road_map import RoadMap
 from charms_bench.roads.layout import Layout
 from charms_bench.world.road_network import CircularLane, SineLane, StraightLane
 
-HANDMADE = {
+HANDMADE: dict[str, Any] = {
     "charms_bench_road": 1,
     "roads": [
         {
@@ -35,7 +34,7 @@ HANDMADE = {
             "end": "c",
             "lanes": [
                 {"id": "on", "kind": "sine", "start": [50, 0], "end": [90, 0], "amplitude": 2,
-                 "pulsation": 0.1, "phase": 0, "successors": ["out"], "speed_limit": 12.5}
+                 "pulsation": 0.15708, "phase": 0, "successors": ["out"], "speed_limit": 12.5}
             ],
         },
         {
@@ -43,7 +42,7 @@ HANDMADE = {
             "end": "d",
             "lanes": [
                 {"id": "out", "kind": "circular", "center": [90, 10], "radius": 10,
-                 "start_phase": -1.5, "end_phase": 0, "clockwise": True},
+                 "start_phase": -1.5708, "end_phase": 0, "clockwise": True},
                 {"id": "by", "kind": "polyline", "x": [90, 105], "y": [3, 10], "width": [3, 4]},
             ],
         },
@@ -51,21 +50,6 @@ HANDMADE = {
     "conflicts": [{"lanes": ["out", "by"], "at": [1, 2], "kind": "crossing", "gives_way": "by"}],
     "signals": [{"id": "1", "kind": "light", "x": 1, "y": 2, "lanes": ["in"]}],
 }  # fmt: skip
-
-
-def same(one: RoadMap, other: RoadMap) -> bool:
-    """Whether two maps are the same to the last bit."""
-    pairs = zip(one.lanes, other.lanes, strict=True)
-    lanes = all(
-        vars(a) | {"points": 0} == vars(b) | {"points": 0} and np.array_equal(a.points, b.points)
-        for a, b in pairs
-    )
-    roads = [
-        [(each.start, each.end, each.junction, each.roundabout) for each in road.roads]
-        for road in (one, other)
-    ]
-    others = [{k: v for k, v in vars(road).items() if k != "roads"} for road in (one, other)]
-    return lanes and roads[0] == roads[1] and others[0] == others[1]
 
 
 numbers = st.floats(-1000, 1000).map(lambda value: round(value, 3))
@@ -126,11 +110,11 @@ def test_a_file_written_by_hand_is_the_network_that_it_describes(tmp_path: Path)
     assert shapes == [StraightLane, SineLane, CircularLane, type(None)]
     network = Layout(found.edges()).network
     assert network.lanes["kind"].tolist() == [0, 1, 2, 3]
-    assert network.lanes["length"].tolist() == pytest.approx([50, 40, 15, np.hypot(15, 7)])
+    assert network.lanes["length"].tolist() == pytest.approx([50, 40, 15.708, np.hypot(15, 7)])
     assert network.lanes["speed_limit"].tolist() == [20, 12.5, 20, 20]
-    # A sine of 2 m and 0.1 rad/m over 40 m.
+    # A sine of 2 m with a period of 40 m.
     sine = lanes_of(found)["on"].points
-    assert sine[:, 1] == pytest.approx(2 * np.sin(0.1 * (sine[:, 0] - 50)))
+    assert sine[:, 1] == pytest.approx(2 * np.sin(0.15708 * (sine[:, 0] - 50)))
 
 
 def change(*keys: Any, to: Any) -> Callable[[Any], None]:
@@ -165,14 +149,15 @@ IN, OUT = ("roads", 0, "lanes", 0), ("roads", 2, "lanes", 0)
         (change(*IN, "end", to=[0, float("nan")]), "roads.0.lanes.0.straight.end.1"),
         (change(*IN, "kind", to="spline"), "roads.0.lanes.0"),
         (change(*IN, "speed_limit", to=0), "greater than 0, found 0"),
-        (change(*OUT, "end_phase", to=4), "roads.2.lanes.0: turns by 5.5 rad"),
-        (change(*OUT, "clockwise", to=False), "roads.2.lanes.0: turns by -1.5 rad"),
+        (change(*OUT, "end_phase", to=4), "roads.2.lanes.0: turns by 5.5708 rad"),
+        (change(*OUT, "clockwise", to=False), "roads.2.lanes.0: turns by -1.5708 rad"),
         (change("roads", 2, "lanes", 1, "width", to=[3]), "at least 2"),
         (change("roads", 2, "lanes", 1, "x", to=[1, 2, 3]), "have 3, 2, 3, 2 numbers"),
+        (change(*IN, "end", to=[50, 7]), "lane 'on' starts at (50, 0); expected (50, 7)"),
         (change("roads", 1, "start", to="a"), "lane 'on' starts at node 'a'; expected 'b'"),
         (
             change("conflicts", 0, "at", to=[99, 0]),
-            "conflicts.0.at: 99 m, but lane 'out' is 15 m long",
+            "conflicts.0.at: 99 m, but lane 'out' is 15.708 m long",
         ),
         (change("conflicts", 0, "lanes", to=["out", "of"]), "conflicts.0: there is no lane 'of'"),
         (change("conflicts", 0, "gives_way", to="in"), "gives_way: is not one of the two lanes"),
@@ -189,6 +174,16 @@ def test_parts_that_do_not_fit_together_are_named(
     assert what in str(error.value)
     assert str(error.value).startswith(f"{tmp_path / 'road.json'}: ")
     assert "\n" not in str(error.value)
+
+
+def test_conflicts_are_looked_for_if_a_file_has_none(tmp_path: Path) -> None:
+    text = {**HANDMADE, "conflicts": []}
+    assert read(tmp_path, json.dumps(text), "none.json").conflicts == ()
+    del text["conflicts"]
+    lane = {"id": "across", "kind": "straight", "start": [20, -5], "end": [20, 5]}
+    text["roads"] = [*text["roads"], {"start": "x", "end": "y", "lanes": [lane]}]
+    (found,) = read(tmp_path, json.dumps(text), "found.json").conflicts
+    assert (found.lanes, found.at, found.kind) == (("in", "across"), (20, 5), "crossing")
 
 
 def test_two_roads_between_the_same_nodes_are_a_fault(tmp_path: Path) -> None:
