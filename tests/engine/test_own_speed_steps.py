@@ -16,7 +16,7 @@ from charms_bench.errors import InputError
 from charms_bench.people.behind import drive_behind
 from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.plugins.agent import Agent
-from charms_bench.plugins.held_agents import hold
+from charms_bench.plugins.consistency import checked
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.plugins.traffic import OneAgent
@@ -198,7 +198,7 @@ def test_steps_beside_the_actions_are_rejected() -> None:
 
 def test_a_policy_that_is_held_to_its_word_keeps_its_steps() -> None:
     policies = Scripted([IDLE], GROWING), Scripted([IDLE], GROWING)
-    held = hold(*policies, SceneSettings(), np.random.default_rng(0))
+    held = checked(*policies, SceneSettings(), np.random.default_rng(0))
     assert isinstance(held, Policy)
     assert held.actions == with_speed_steps(*GROWING)
 
