@@ -145,7 +145,6 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
         "steps", lambda rows: rows.with_columns(pl.col("episode") + 2)
     ),
     "a step twice": signed("steps", lambda rows: pl.concat([rows, rows.tail(1)])),
-    "steps in another order": signed("steps", pl.DataFrame.reverse),
     "rows cut short": lambda run: os.truncate(_shard("steps")(run), 100),
     "rows of another kind": _instead("steps", _many_rows),
     "rows of 10^7 episodes": _instead("episodes", _many_rows),
