@@ -152,6 +152,12 @@ FILES: dict[str, Callable[[], bytes]] = {
     "three actions": lambda: checkpoint(
         dqn_weights(q_net__q_net__2__weight=torch.zeros(3, 4), q_net__q_net__2__bias=torch.zeros(3))
     ),
+    "a layer that does not fit the one before": lambda: checkpoint(
+        dqn_weights(q_net__q_net__2__weight=torch.zeros(5, 6))
+    ),
+    "layers in the wrong places": lambda: checkpoint(
+        dqn_weights(q_net__q_net__5__weight=torch.zeros(5, 5))
+    ),
     "a convolution": lambda: checkpoint(
         dqn_weights(q_net__features_extractor__cnn__0__weight=torch.zeros(2, 3, 8, 8))
     ),
@@ -161,12 +167,47 @@ FILES: dict[str, Callable[[], bytes]] = {
 }
 
 
+SAID = {
+    "empty": "not a zip; expected",
+    "the end of a zip": "has no policy.pth; it holds: nothing",
+    "a zip without its start": "cannot be unpacked",
+    "no UTF-8 in a name": "cannot be unpacked",
+    "encrypted": "is encrypted",
+    "damaged": "cannot be unpacked: Error -3",
+    "weights twice": "holds policy.pth 2 times",
+    "a bomb": "policy.pth unpacks to more than 100 times its size",
+    "a larger bomb": "policy.pth unpacks to 268,435,456 bytes",
+    "a bomb in data": "data unpacks to 16,777,216 bytes",
+    "a bomb in a bomb": "policy.pth: archive/data.pkl unpacks to more than 100 times",
+    "50,000 members": "more than 1,000 members",
+    "a pickle among the weights": "holds something other than tensors",
+    "a bare pickle": "is not in the format of torch",
+    "a storage of 10^12 numbers": "is damaged, or holds something other than tensors",
+    "a storage of 100 numbers more than there are": "is damaged, or holds something other",
+    "a pickle of 2 MB": "archive/data.pkl is larger than",
+    "a place of 2^31": "does not hold named tensors",
+    "no tensors": "expected the Q-network of a DQN",
+    "a layer without weights": "expected linear layers",
+    "25 numbers in": "takes 25 numbers; expected 35, the obs",
+    "an empty layer": "not linear: weight (0, 35), bias (0,)",
+    "a layer that repeats itself": "repeats stored numbers",
+    "a layer of whole numbers": "is torch.int64; expected torch.float32",
+    "weights that are no numbers": "not finite",
+    "three actions": "has 3 actions; expected 5",
+    "a convolution": "CnnPolicy",
+    "an activation of one's own": "between its layers; expected ReLU, Tanh, ELU",
+    "a layer that does not fit the one before": "takes 6 numbers; expected 4, the out",
+    "layers in the wrong places": "weights at positions [0, 2, 5]",
+}
+"""Words of the message about some of them."""
+
+
 def _bad(title: str, content: Callable[[], bytes]) -> BadInput:
     def make(folder: Path) -> Sequence[str]:
         (folder / "model.zip").write_bytes(content())
         return "export", "model.zip", "out.onnx"
 
-    return BadInput(f"checkpoint: {title}", make)
+    return BadInput(f"checkpoint: {title}", make, SAID.get(title, ""))
 
 
 CASES = tuple(_bad(*item) for item in FILES.items())

@@ -151,7 +151,7 @@ def one_node(operator: str, domain: str = "", **attributes: Any) -> Any:
 
 
 def with_function() -> Any:
-    model = network([helper.make_node("Mine", ["observations"], ["values"], domain="com.example")])
+    model = network()
     inner = [helper.make_node("Identity", ["a"], ["b"])]
     opsets = [helper.make_opsetid("", 17)]
     model.functions.append(helper.make_function("com.example", "Mine", ["a"], ["b"], inner, opsets))
@@ -236,6 +236,32 @@ MODELS: dict[str, Callable[[], Any]] = {
 }  # fmt: skip
 
 
+SAID = {
+    "weights elsewhere, in a node": "keeps tensors in other files",
+    "a sparse constant of 32 GiB": "has sparse tensors",
+    "somebody's own operator": "has the operator 'com.example.Evil'",
+    "chance": "has the operator 'RandomNormalLike'",
+    "texts": "has texts among its tensors",
+    "a tensor of texts": "has texts among its tensors",
+    "functions": "has functions; save it",
+    "an integer divided by an observation": "divides integers",
+    "100,000 nodes": "has more than 10,000 nodes",
+    "a million empty fields": "fields; a policy is far smaller",
+    "a fixed batch": "expected one float32 input",
+    "a free width": "expected one float32 input",
+    "doubles": "cannot be loaded by onnxruntime",
+    "more values than vehicles": "returns values of shape (128, 5); expected (64, 5)",
+    "values that are no numbers": "returns values that are NaN",
+    "a memory of 10^9 numbers": "with at most 4,096 numbers",
+    "10^9 random numbers": "with at most 4,096 numbers",
+    "a memory that is forgotten": "in the same order, an output of the same shape",
+    "nested 10,000 deep": "has graphs within its graph",
+    "a text": "is not an ONNX file, or is damaged",
+    "15 of 30 parts": "is not an ONNX file, or is damaged",
+}
+"""Words of the message about some of them."""
+
+
 def _cut_short(part: int, of: int) -> bytes:
     data: bytes = network().SerializeToString()
     return data[: len(data) * part // of]
@@ -251,7 +277,7 @@ def _bad(title: str, model: Callable[[], Any]) -> BadInput:
         (folder / "policy.onnx").write_bytes(data)
         return "check", "policy.onnx"
 
-    return BadInput(f"network: {title}", make)
+    return BadInput(f"network: {title}", make, SAID.get(title, ""))
 
 
 CASES = tuple(_bad(*item) for item in MODELS.items())

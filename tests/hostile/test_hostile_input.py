@@ -63,6 +63,7 @@ def refuses(case: BadInput, folder: Path) -> str:
 def test_bad_input_is_refused_in_words(case: BadInput, tmp_path: Path) -> None:
     words = refuses(case, tmp_path).replace(f"{tmp_path}/", "")
     assert words == NASTIEST.get(case.title, words)
+    assert case.said in " ".join(words.split())
 
 
 def test_every_reader_gets_bad_input() -> None:
