@@ -244,7 +244,7 @@ SAID = {
     "texts": "has texts among its tensors",
     "a tensor of texts": "has texts among its tensors",
     "functions": "has functions; save it",
-    "an integer divided by an observation": "divides integers",
+    "an integer divided by an observation": "cannot be computed",
     "100,000 nodes": "has more than 10,000 nodes",
     "a million empty fields": "fields; a policy is far smaller",
     "a fixed batch": "expected one float32 input",
