@@ -162,12 +162,6 @@ def test_what_fails_in_a_worker_is_one_message_and_exit_code_2(tmp_path: Path) -
     assert "Traceback" not in result.stderr
 
 
-def test_a_run_folder_of_another_suite_is_refused(suite_file: Path, copied_run: Path) -> None:
-    result = charms_bench("run", suite_file, "--seed", 9, "--output", copied_run)
-    assert result.returncode == 2
-    assert "holds another run: seed was 0, now 9" in result.stderr
-
-
 def test_an_export_of_several_checkpoints_needs_a_folder(tmp_path: Path) -> None:
     result = charms_bench("export", "one.zip", "two.zip", tmp_path / "model.onnx")
     assert result.returncode == 2

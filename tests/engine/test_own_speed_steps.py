@@ -207,15 +207,10 @@ def network(
     network_file: Callable[..., Path], name: str, steps: str | None = None, seed: int = 0
 ) -> Path:
     """A file whose network has random weights, and decides on FASTER and SLOWER most often."""
-    onnx = pytest.importorskip("onnx")
     weights = np.random.default_rng(seed).normal(size=(35, 5))
     weights[:, [ACTIONS.index("LANE_LEFT"), ACTIONS.index("LANE_RIGHT")]] *= 0.3
-    path = network_file(weights, name=name)
-    model = onnx.load(path)
     said = {} if steps is None else {"target_speed_steps_mps": steps}
-    onnx.helper.set_model_props(model, said)
-    onnx.save(model, path)
-    return path
+    return network_file(weights, name=name, metadata=said)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from charms_bench.errors import AgentError, CharmsBenchError, RunFolderError, SuiteError
+from charms_bench.errors import AgentError, CharmsBenchError, RunFolderError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs import finished_run, runner, shards
@@ -175,13 +175,6 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"suite": '])
-def test_a_damaged_manifest_is_said_to_be_damaged(tmp_path: Path, content: str) -> None:
-    (tmp_path / "manifest.json").write_text(content)
-    with pytest.raises(RunFolderError, match=r"manifest\.json: (is not JSON|expected a JSON)"):
-        run(suite(), tmp_path, workers=1)
-
-
 @pytest.mark.parametrize(
     ("change", "found"), [({}, "has no format"), ({"format": 2}, "has format 2")]
 )
@@ -251,23 +244,6 @@ def test_rows_of_other_episodes_are_neither_written_nor_read(tmp_path: Path) -> 
         folder.read("steps", [second])
 
 
-def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
-    finished = run(suite(episodes=2), tmp_path, workers=1)
-    path = min((tmp_path / "steps").iterdir())  # of the first cell, by its name
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(RunFolderError, match=rf"{path.name}: does not match.*sha256; run the"):
-        _ = finished.cells()[0].steps
-    path.unlink()
-    with pytest.raises(RunFolderError, match=rf"{path.name}: cannot be read: No such file"):
-        _ = finished.cells()[0].steps
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(RunFolderError, match=r"file/run.*: cannot be written"):
-        run(suite(), tmp_path / "file" / "run", workers=1)
-
-
 @pytest.mark.usefixtures("small_shards")
 def test_an_agent_that_fails_late_costs_none_of_the_finished_shards(tmp_path: Path) -> None:
     egos = [{"agent": "idm_mobil"}, {"agent": "outside_raising"}]
@@ -305,13 +281,6 @@ def test_a_planner_that_cannot_drive_on_a_road_drives_the_other_cells() -> None:
     failed: dict[int, CharmsBenchError] = {}
     assert {shard.cell for shard in plan(made, "batched", failed)} == {1}
     assert "plans on copies of a straight road" in str(failed[0])
-
-
-def test_evaluation_seeds_stay_below_those_of_trainings() -> None:
-    with pytest.raises(
-        SuiteError, match="expected seeds below 1000000000, where the seeds of trainings"
-    ):
-        plan(suite(seed=999_999_990), "batched")
 
 
 def test_a_shards_key_follows_the_agents_options_and_the_scene() -> None:
