@@ -25,7 +25,7 @@ from charms_bench.engine.rollouts import Futures
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import BrokenWordError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
-from charms_bench.plugins.consistency import PolicyCall, SceneCall, called, copied, driving
+from charms_bench.plugins.consistency import Call, PolicyCall, SceneCall, called, copied, driving
 from charms_bench.plugins.deciding import (
     Asked,
     Question,
@@ -267,13 +267,13 @@ def _question(policy: Policy, seed: int = 0) -> Question:
     return question_of(policy, asked._replace(kept=kept))
 
 
-def _call(agent: Agent, seed: int = 0) -> tuple[PolicyCall | SceneCall, Ints]:
+def _call(agent: Agent, seed: int = 0) -> tuple[Call, Ints]:
     """A call about every vehicle of the example scenes, and the rows that it can be checked by."""
     if isinstance(agent, Policy):
         asked = _question(agent, seed)
         everyone = np.arange(len(asked[0]))
-        said = answer_of(agent, asked, agent.decide(*part_of(asked, everyone)))
-        return PolicyCall(asked, np.array(said[0]), np.array(said[1])), everyone
+        actions, memory = answer_of(agent, asked, agent.decide(*part_of(asked, everyone)))
+        return PolicyCall(asked, np.array(actions), np.array(memory)), everyone
     scene = example_scene(seed, agent)
     said = map(np.array, driving(agent, copied(scene).read_only(), _everyone(scene)))
     return SceneCall("drive", driving, scene, _everyone(scene), [*said]), np.arange(_SCENES)
