@@ -1,6 +1,5 @@
 """Run folders that somebody has altered, and bad arguments for intact ones."""
 
-import hashlib
 import json
 import os
 import shutil
@@ -14,6 +13,7 @@ import polars as pl
 from bad_arguments import LONG, SUITE
 from bad_input import BadInput
 from command_line import charms_bench
+from run_folders import sign
 
 
 @cache
@@ -61,16 +61,6 @@ def _instead(kind: str, make_file: Callable[[Path], object]) -> Callable[[Path],
 
 def _many_rows(path: Path) -> None:
     pl.DataFrame({"episode": pl.repeat(0, 10_000_000, eager=True)}).write_parquet(path)
-
-
-def sign(run: Path, name: str) -> None:
-    """Writes the checksums of a shard that was changed."""
-    lines = [
-        f"{hashlib.sha256((run / kind / f'{name}.parquet').read_bytes()).hexdigest()}  "
-        f"{kind}/{name}.parquet\n"
-        for kind in ("steps", "counts", "drivers", "episodes")
-    ]
-    (run / "checksums" / f"{name}.sha256").write_text("".join(lines))
 
 
 def signed(kind: str, change: Callable[[pl.DataFrame], pl.DataFrame]) -> Callable[[Path], object]:

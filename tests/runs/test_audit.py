@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 from command_line import Called, charms_bench
 from linear_network import linear_network
+from run_folders import sign
 
 import charms_bench as harness
 from charms_bench.runs import audit_software
@@ -75,17 +76,6 @@ def change_manifest(folder: Path, change: Callable[[dict[str, Any]], object]) ->
 
 def shard(folder: Path, kind: str, cell: int = 0) -> Path:
     return min((folder / "run" / kind).glob(f"{cell:03d}-*.parquet"))
-
-
-def sign(folder: Path, path: Path) -> None:
-    """Writes the checksum of a file that was changed, as somebody would who hides the change."""
-    checksums = folder / "run" / "checksums" / f"{path.stem}.sha256"
-    name = f"{path.parent.name}/{path.name}"
-    lines = [
-        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {name}" if name in line else line
-        for line in checksums.read_text().splitlines()
-    ]
-    checksums.write_text("\n".join(lines) + "\n")
 
 
 def rename_shard(folder: Path, name: str, new: str) -> None:
@@ -182,7 +172,7 @@ def row(is_signed: bool) -> Callable[[Path], None]:
         speed = pl.when(second).then(40.0).otherwise("speed").alias("speed")
         rows.with_columns(speed).write_parquet(path)
         if is_signed:
-            sign(folder, path)
+            sign(folder / "run", path.stem)
 
     return change
 
@@ -190,14 +180,14 @@ def row(is_signed: bool) -> Callable[[Path], None]:
 def rows_and_tables(folder: Path) -> None:
     path = shard(folder, "episodes")
     pl.read_parquet(path).with_columns(duration_s=1.0).write_parquet(path)
-    sign(folder, path)
+    sign(folder / "run", path.stem)
     assert charms_bench("rescore", "run", cwd=folder).returncode == 0
 
 
 def column(folder: Path) -> None:
     path = shard(folder, "steps")
     pl.read_parquet(path).with_columns(note=pl.lit("We win.")).write_parquet(path)
-    sign(folder, path)
+    sign(folder / "run", path.stem)
 
 
 def other_network(folder: Path) -> None:
@@ -360,7 +350,8 @@ def swap_shards(folder: Path, one: Path, other: Path) -> None:
         contents = [file.read_bytes() for file in files]
         for file, content in zip(files, reversed(contents), strict=True):
             file.write_bytes(content)
-            sign(folder, file)
+    for path in (one, other):
+        sign(folder / "run", path.stem)
 
 
 @pytest.mark.parametrize("of", ["episodes", "egos"])

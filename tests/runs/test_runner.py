@@ -1,6 +1,5 @@
 """Runs: the same rows whatever the workers, the order or the interruptions."""
 
-import hashlib
 import json
 import shutil
 from collections import Counter
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from run_folders import files, sign
 
 from charms_bench.errors import AgentError, CharmsBenchError, RunFolderError
 from charms_bench.metrics import METRIC_SETS
@@ -40,14 +40,6 @@ def suite(**changes: object) -> Suite:
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setitem(shards.SHARD_EPISODES, "batched", 10)
     return
-
-
-def files(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -232,13 +224,9 @@ def test_rows_of_other_episodes_are_neither_written_nor_read(tmp_path: Path) -> 
     said = "an episode is not one of 10 to 19; run the suite again"
     with pytest.raises(RunFolderError, match=said):
         folder.write(second, wrong)
-    names = [f"{kind}/{second.name}.parquet" for kind in KINDS]
-    for name, data in zip(names, wrong.values(), strict=True):
-        (tmp_path / name).write_bytes(data)
-    lines = [
-        f"{hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()}  {name}\n" for name in names
-    ]
-    (tmp_path / "checksums" / f"{second.name}.sha256").write_text("".join(lines))
+    for kind, data in wrong.items():
+        (tmp_path / kind / f"{second.name}.parquet").write_bytes(data)
+    sign(tmp_path, second.name)
     assert not folder.is_whole(second)
     with pytest.raises(RunFolderError, match=said):
         folder.read("steps", [second])
