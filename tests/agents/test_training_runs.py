@@ -228,6 +228,8 @@ def test_manifests_say_from_what_each_stage_was_made(suite: Path, finished: Path
         assert made[f"charms_{name}"]["starts_from"] == start
     assert made["charms_style"]["style"] == "safe, prosocial, fine-tuned on human driving"
     assert made["people"]["starts_from"] == {"hidden_layers": [8]}
+    for conditions in (made["level_1"]["conditions"], made["people"]["simulated"]["conditions"]):
+        assert conditions[1]["density"] == 1.5
     assert made["imitation"]["starts_from"] == {"hidden_layers": [16]}
     assert made["imitation"]["supervised"]["pull"] == 0.0
     # It rehearses the driving of its start in the traffic where that was trained.
