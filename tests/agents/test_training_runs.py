@@ -462,6 +462,16 @@ def test_a_broken_checkpoint_is_named(
         pipeline.run(suite, tmp_path, only="level_1" if workers == 1 else None, workers=workers)
 
 
+def test_the_checkpoint_of_another_stage_is_not_continued(
+    suite: Path, finished: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / file_of(finished, "people").parts[-2]
+    folder.mkdir()
+    shutil.copy(file_of(finished, "imitation").with_name("checkpoint.npz"), folder)
+    with pytest.raises(RunFolderError, match="cannot be continued: it was written with other set"):
+        pipeline.run(suite, tmp_path, only="people", workers=1)
+
+
 def test_stages_that_wait_for_each_other_need_one_process() -> None:
     assert _width({"a": (), "b": ("a",), "c": ("b",)}) == 1
     assert _width({"a": (), "b": ("a",), "c": ("a",), "d": ("c",)}) == 2
