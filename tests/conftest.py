@@ -3,12 +3,9 @@
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
-
-if TYPE_CHECKING:
-    import numpy as np
 
 # NumPy, numba and Polars read these once, when they are imported.
 for variable in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"):
@@ -48,36 +45,10 @@ def _one_worker_is_this_process() -> Iterator[None]:
 
 @pytest.fixture
 def network_file(tmp_path: Path) -> Callable[..., Path]:
-    """Writes an ONNX file of one linear layer; its weights (35, 5) may be given."""
-    import numpy as np
+    """Writes an ONNX file of one linear layer into the test's folder; see `linear_network`."""
+    from linear_network import linear_network
 
-    onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
-    helper, numpy_helper = onnx.helper, onnx.numpy_helper
-
-    def write(
-        weights: "np.ndarray | None" = None,
-        *,
-        name: str = "policy.onnx",
-        batch: str | int = "batch",
-        inputs: int = 35,
-        dtype: int = onnx.TensorProto.FLOAT,
-        metadata: dict[str, str] | None = None,
-    ) -> Path:
-        inputs = inputs if weights is None else len(weights)
-        if weights is None:
-            weights = np.random.default_rng(0).normal(size=(inputs, 5))
-        element = onnx.helper.tensor_dtype_to_np_dtype(dtype)
-        graph = helper.make_graph(
-            [helper.make_node("MatMul", ["observations", "weights"], ["values"])],
-            "policy",
-            [helper.make_tensor_value_info("observations", dtype, [batch, inputs])],
-            [helper.make_tensor_value_info("values", dtype, [batch, weights.shape[1]])],
-            [numpy_helper.from_array(weights.astype(element), "weights")],
-        )
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
-        helper.set_model_props(model, metadata or {})
-        path = tmp_path / name
-        onnx.save(model, path)
-        return path
-
-    return write
+    pytest.importorskip("onnx", reason="needs the extra 'train'")
+    return lambda *given, name="policy.onnx", **said: linear_network(
+        tmp_path / name, *given, **said
+    )

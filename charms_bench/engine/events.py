@@ -5,8 +5,8 @@ import numpy as np
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import PLUGIN_ERRORS, AgentError, BrokenWordError, InputError, raised
 from charms_bench.foundation.compiled import compiled
+from charms_bench.plugins.consistency import CheckedEvent
 from charms_bench.plugins.event import Event
-from charms_bench.plugins.held import HeldEvent
 from charms_bench.world.gaps import overlap
 from charms_bench.world.scene import Floats, Ints, Scene
 
@@ -86,7 +86,7 @@ def lowest_levels(simulation: Simulation, event: Event) -> Floats:
 
 
 def _checked(event: Event, scene: Scene, rows: Ints) -> Floats:
-    name = type(event.plugin if isinstance(event, HeldEvent) else event).__name__
+    name = type(event.plugin if isinstance(event, CheckedEvent) else event).__name__
     try:
         levels = np.asarray(event.level(scene, rows), dtype=np.float64)
     except BrokenWordError as error:

@@ -1,9 +1,8 @@
 """What an audit has found; and the tables of a run, computed again from its rows."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import isclose
 from pathlib import Path
 
 import polars as pl
@@ -23,16 +22,11 @@ from charms_bench.runs.finished_run import open_finished
 from charms_bench.runs.metric_sets import asked_by, metric_sets
 from charms_bench.runs.suite import Suite
 
-NUMBER = re.compile(r"[0-9][0-9,.]*")
-ROUNDING = 1e-9
-"""Largest relative difference of a value that was summed in another order."""
-
 
 def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     """Yields where the files in `tables` differ from what the rows in the folder give.
 
-    The table of a run with other code may differ for that reason, which is `unknown`. It is `fail`
-    where that is no explanation; see `_is_false`.
+    The table of a run with other code may differ for that reason, which is `unknown`.
 
     The folder is a run's, and the suite names the folder that paths of recordings start from.
     """
@@ -67,60 +61,20 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     if matrix := matrices(made[0][0]):
         expected[f"{suite.suite}-matrix.md"] = run_files.matrix_page(matrix)
     found: list[Finding] = []
-    wrong: Verdict
+    wrong: Verdict = "fail" if is_own else "unknown"
     for name, data in expected.items():
         if name not in unknown and (what := _difference(folder / "tables" / name, data)):
-            wrong = "fail" if is_own or _is_false(folder / "tables", name, expected) else "unknown"
             found.append(Finding("tables", f"tables/{name}", wrong, what))
     if suite.references:
         unknown |= {f"{suite.suite}-realism.{kind}" for kind in ("csv", "md")}
     for path in sorted((folder / "tables").glob("*")):
         if path.name not in expected and path.name not in unknown:
             is_suites = re.fullmatch(rf"{suite.suite}(-[a-z]+)?\.(csv|md)", path.name)
-            wrong = "unknown" if is_suites and not is_own else "fail"
             what = "is not a table of this suite"
-            found.append(Finding("tables", f"tables/{path.name}", wrong, what))
+            verdict: Verdict = wrong if is_suites else "fail"
+            found.append(Finding("tables", f"tables/{path.name}", verdict, what))
     same = f"{len(expected)} files, computed again from the rows in the folder, are the same"
     yield from found or [Finding("tables", "", "pass", same)]
-
-
-def _is_false(tables: Path, name: str, expected: Mapping[str, bytes]) -> bool:
-    """Whether a table that differs is false even if other code has computed it.
-
-    The version of a metric set is part of its label. It changes with the definitions, so the same
-    version gives the same values of the same rows. And a page has the numbers of its CSV file.
-    """
-    csv = re.sub(r"(-matrix)?\.md$", ".csv", name)
-    try:
-        page, table = (read_file(tables / each, TABLE_LIMIT_BYTES) for each in (name, csv))
-    except RunFolderError:
-        return False
-    if name == csv:
-        return _has_other_value(table, expected[csv])
-    (words, numbers), (right_words, right_numbers) = (
-        (NUMBER.sub("#", text), NUMBER.findall(text))
-        for text in (each.decode(errors="replace") for each in (page, expected[name]))
-    )
-    return table == expected[csv] and words == right_words and numbers != right_numbers
-
-
-def _has_other_value(found: bytes, expected: bytes) -> bool:
-    """Whether a metric has another value than rounding explains in the table of metrics."""
-    both = _both_tables(found, expected)
-    if both is None or "metric_set" not in both[0].columns:
-        return False
-    every = ("agent", "road", "traffic", "metric_set", "metric")
-    keys = [key for key in every if key in both[0].columns]
-    stored, again = (table.select(*keys, "value") for table in both)
-    pairs = again.join(stored, on=keys, nulls_equal=True).select("value", "value_right").rows()
-    return any(one != other and not _is_rounded(one, other) for one, other in pairs)
-
-
-def _is_rounded(one: str | None, other: str | None) -> bool:
-    try:
-        return isclose(float(one or "nan"), float(other or "nan"), rel_tol=ROUNDING)
-    except ValueError:
-        return False
 
 
 def _stored_sets(path: Path, suite: Suite) -> Sequence[MetricSet]:
@@ -155,24 +109,16 @@ def _difference(path: Path, expected: bytes) -> str:
     return "has other line endings, or other bytes that are not text"
 
 
-def _both_tables(found: bytes, expected: bytes) -> tuple[pl.DataFrame, pl.DataFrame] | None:
-    """Two CSV files as text; None if they do not have the same columns and number of rows."""
+def _differing_number(found: bytes, expected: bytes) -> str:
+    """Says which number of a CSV file first differs; empty if its columns or rows are others."""
     if is_compressed(found):
-        return None
+        return ""
     try:
         stored, again = (pl.read_csv(each, infer_schema=False) for each in (found, expected))
     except pl.exceptions.PolarsError:
-        return None
-    same = stored.columns == again.columns and len(stored) == len(again)
-    return (stored, again) if same else None
-
-
-def _differing_number(found: bytes, expected: bytes) -> str:
-    """Says which number of a CSV file first differs; empty if its rows are others."""
-    both = _both_tables(found, expected)
-    if both is None:
         return ""
-    stored, again = both
+    if stored.columns != again.columns or len(stored) != len(again):
+        return ""
     # The columns before the numbers say what a row is about.
     keys = again.columns[: again.columns.index("value")] if "value" in again.columns else []
     for one, other in zip(stored.iter_rows(named=True), again.iter_rows(named=True), strict=True):

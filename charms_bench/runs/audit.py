@@ -46,7 +46,7 @@ def audit_run(
     good = Finding("software", "", "pass", "the code and libraries of the run are installed")
     yield from software or [good]
     yield from audit_networks(folder)
-    yield from audit_files(folder, suite, cells)
+    yield from audit_files(folder, suite, cells, is_same=not software)
     tasks = [each for cell in cells for name, each in cell.tasks.items() if name in cell.own]
     if not tasks:
         what = "none can be simulated again with this software; see above"

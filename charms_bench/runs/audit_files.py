@@ -3,19 +3,14 @@
 import hashlib
 import os
 import stat
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from io import BytesIO
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import Any
-
-import polars as pl
 
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import read_limited
 from charms_bench.foundation.words import counted
-from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.audit_finding import Finding
-from charms_bench.runs.audit_software import Planned, names_installed_code
+from charms_bench.runs.audit_software import Planned
 from charms_bench.runs.lock import LOCK
 from charms_bench.runs.resumable_folder import (
     CHECKSUMS,
@@ -51,10 +46,15 @@ def audit_networks(folder: RunFolder) -> Iterator[Finding]:
         yield Finding("networks", "", "pass", f"{good} of {good} have the hash in the manifest")
 
 
-def audit_files(folder: RunFolder, suite: Suite, cells: Sequence[Planned]) -> Iterator[Finding]:
-    """Yields whether the folder holds the shards of its suite, intact, and nothing else."""
+def audit_files(
+    folder: RunFolder, suite: Suite, cells: Sequence[Planned], is_same: bool
+) -> Iterator[Finding]:
+    """Yields whether the folder holds the shards of its suite, intact, and nothing else.
+
+    If the manifest names the same software as the installed one, shards must have its keys.
+    """
     names = folder.finished()
-    found = [*_shards(folder, suite, names, cells), *_unexpected(folder, names)]
+    found = [*_shards(folder, suite, names, cells, is_same), *_unexpected(folder, names)]
     yield from found
     if all(each.verdict == "unknown" for each in found):
         what = f"the files of {counted(len(names), 'shard')} match their checksums and have their "
@@ -63,11 +63,13 @@ def audit_files(folder: RunFolder, suite: Suite, cells: Sequence[Planned]) -> It
 
 
 def _shards(
-    folder: RunFolder, suite: Suite, names: Collection[str], cells: Sequence[Planned]
+    folder: RunFolder,
+    suite: Suite,
+    names: Collection[str],
+    cells: Sequence[Planned],
+    is_same: bool,
 ) -> Iterator[Finding]:
     """Whether every shard of the suite is there once, with the right key and with its episodes."""
-    manifest = folder.manifest()
-    is_own = names_installed_code(manifest) or any(cell.own for cell in cells)
     places, drivers = places_of(suite, folder.engine()), folder.drivers(suite)
     by_place: dict[tuple[int, int], str] = {}
     for name in sorted(names):
@@ -81,51 +83,32 @@ def _shards(
         for path in folder.damaged_files(shard):
             where = path.relative_to(folder.path).as_posix()
             yield Finding("files", where, "fail", "is missing or does not match its checksum")
-        yield from _rows(folder, shard, drivers[shard.cell // len(suite.surroundings)], is_own)
+        yield from _rows(folder, shard, drivers[shard.cell // len(suite.surroundings)])
     for (index, first), episodes in places.items():
         if (index, first) not in by_place:
             last = first + episodes - 1
             what = f"the rows of {cells[index].cell.title}, episodes {first} to {last} are missing"
             yield Finding("files", f"{CHECKSUMS}/{index:03d}-{first:09d}-*.sha256", "fail", what)
-    if is_own:
-        yield from _keys(manifest, by_place, cells)
+    expected = {name: shard for cell in cells for name, (shard, _) in cell.tasks.items()}
+    for name, shard in expected.items() if is_same else ():
+        if (found := by_place.get((shard.cell, shard.first_seed), name)) != name:
+            what = "has a key of other software, agents or settings than the manifest says"
+            where = f"{CHECKSUMS}/{found}.sha256"
+            yield Finding("files", where, "fail", f"{what}; expected {name}")
 
 
-def _rows(folder: RunFolder, shard: Shard, ego: str, is_own: bool) -> Iterator[Finding]:
-    """What is visibly wrong with the rows of a shard; the installed code wrote them if `is_own`."""
+def _rows(folder: RunFolder, shard: Shard, ego: str) -> Iterator[Finding]:
+    """What is visibly wrong with the rows of a shard."""
     rows = {}
     for kind in KINDS:
         where = f"{kind}/{shard.name}.parquet"
         try:
             rows[kind] = folder.read_unchecked(kind, shard)
-            columns = pl.read_parquet_schema(BytesIO(folder.content(kind, shard)))
-            if is_own and (more := columns.keys() - SCHEMAS[kind].names()):
-                what = f"the code of the run does not write the columns {', '.join(sorted(more))}"
-                yield Finding("files", where, "fail", what)
         except RunFolderError as error:
             what = str(error).removeprefix(f"{folder.path / where}: ")
             yield Finding("files", where, "fail", what)
     if len(rows) == len(KINDS) and (what := problem_between(rows, ego)):
         yield Finding("files", f"{CHECKSUMS}/{shard.name}.sha256", "fail", what)
-
-
-def _keys(
-    manifest: Mapping[str, Any], by_place: Mapping[tuple[int, int], str], cells: Sequence[Planned]
-) -> Iterator[Finding]:
-    """Where a shard does not have the key of its agents and of the installed code."""
-    recorded = manifest.get("agents", {})
-    for cell in cells:
-        is_same = all(recorded.get(name) == each for name, each in cell.agents.items())
-        if not is_same and not cell.own:
-            continue  # `audit_software` says that the run has used other agents
-        for name, (shard, _) in cell.tasks.items():
-            found = by_place.get((shard.cell, shard.first_seed), name)
-            if found != name:
-                what = (
-                    "has a key of other software, agents or settings than the manifest says; "
-                    f"expected {name}"
-                )
-                yield Finding("files", f"{CHECKSUMS}/{found}.sha256", "fail", what)
 
 
 def _unexpected(folder: RunFolder, names: Collection[str]) -> Iterator[Finding]:

@@ -13,8 +13,8 @@ import numpy as np
 from charms_bench.engine.events import lowest_levels
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, RunFolderError
+from charms_bench.plugins.consistency import CheckedEvent
 from charms_bench.plugins.event import Event
-from charms_bench.plugins.held import HeldEvent
 from charms_bench.plugins.registry import EVENTS, find, make_event
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.code_hashes import harness_sha256
@@ -22,7 +22,7 @@ from charms_bench.runs.document import name_and_options
 from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.runs.shard import (
     CellTask,
-    HeldDrivers,
+    CheckedDrivers,
     Software,
     forget_identities,
     installed,
@@ -82,14 +82,14 @@ def estimate(task: RareTask) -> SubsetRun:
     from scipy import special
 
     names, scene = harness_names(), task.scene
-    held = HeldDrivers(task.ego, task.traffic, task.networks, scene, task.seed + task.run)
+    drivers = CheckedDrivers(task.ego, task.traffic, task.networks, scene, task.seed + task.run)
     steps = scene.decisions * scene.steps_per_decision
     events = event_of(task.event), event_of(task.event)
-    event = HeldEvent(*events, np.random.default_rng([task.seed, task.run, 3]), steps)
+    event = CheckedEvent(*events, np.random.default_rng([task.seed, task.run, 3]), steps)
 
     @cache
     def simulation_of(scenes: int) -> Simulation:
-        return Simulation(scene, scenes, task.ego.key, held.traffic, held.agents)
+        return Simulation(scene, scenes, task.ego.key, drivers.traffic, drivers.agents)
 
     def level(normal: Floats, seeds: Seeds) -> Floats:
         levels = []
@@ -108,7 +108,7 @@ def estimate(task: RareTask) -> SubsetRun:
         made = pilot_run(*space, rng)
     else:
         (made,) = subset_simulation(*space, 1, task.pilot, rng)
-    held.finish(task.title)
+    drivers.finish(task.title)
     event.finish(f"event '{task.event}', {task.title}")
     if problem := problem_of(names):
         raise AgentError(f"{task.title}: {problem}; its estimate is rejected")

@@ -22,8 +22,13 @@ from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, BrokenWordError, RunFolderError
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
-from charms_bench.plugins.held import Held, HeldTraffic
-from charms_bench.plugins.held_agents import HeldModel, HeldPolicy, hold
+from charms_bench.plugins.consistency import (
+    Checked,
+    CheckedModel,
+    CheckedPolicy,
+    CheckedTraffic,
+    checked,
+)
 from charms_bench.plugins.registry import (
     AGENTS,
     TRAFFIC,
@@ -148,22 +153,22 @@ def simulate(task: ShardTask) -> ShardFiles:
             f"{task.title}: changed since the run began: {changed}; run the suite again"
         )
     ego, count, first = task.ego.key, task.episodes, task.first_seed
-    held = HeldDrivers(task.ego, task.traffic, task.networks, task.scene, first)
+    drivers = CheckedDrivers(task.ego, task.traffic, task.networks, task.scene, first)
     with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
         engine = engine_on(task.scene, task.engine)
-        simulation = Simulation(task.scene, count, ego, held.traffic, held.agents, engine)
+        simulation = Simulation(task.scene, count, ego, drivers.traffic, drivers.agents, engine)
         simulation.reset(np.arange(first, first + count, dtype=np.uint64))
         recording = Recording(simulation)
         while simulation.scene.active.any():
             simulation.step()
             recording.note()
-        held.finish(task.title)
+        drivers.finish(task.title)
     if problem := problem_of(names):
         raise AgentError(f"{task.title}: {problem}; its rows are rejected")
     # Rows depend on the content of a network and not on its path, like the key.
     copies = {
         driver.key: f"{task.software.agents[driver.origin]['weights_sha256']}.onnx"
-        for driver in held.drivers
+        for driver in drivers.drivers
         if is_network(driver.name)
     }
     conduct = recording.drivers().with_columns(pl.col("agent").replace(copies)).sort(DRIVER_KEYS)
@@ -184,8 +189,8 @@ def engine_on(scene: SceneSettings, engine: EngineName = "batched") -> EngineNam
     return RoadEngine
 
 
-class HeldDrivers:
-    """The agents and the traffic of a cell, held to their word; see `plugins.held`.
+class CheckedDrivers:
+    """The agents and the traffic of a cell, checked as in `plugins.consistency`.
 
     `seed` chooses the questions that are asked again.
     """
@@ -199,20 +204,20 @@ class HeldDrivers:
         seed: int,
     ) -> None:
         rng = np.random.default_rng([seed, 2])
-        self.traffic = HeldTraffic(traffic.make(), traffic.make(), rng)
+        self.traffic = CheckedTraffic(traffic.make(), traffic.make(), rng)
         self.drivers = drivers_of(ego, self.traffic)
-        self.agents: dict[str, HeldPolicy | HeldModel] = {}
+        self.agents: dict[str, CheckedPolicy | CheckedModel] = {}
         for driver in self.drivers:
             agent, other = (agent_of(driver, networks, instance) for instance in (0, 1))
             try:
-                self.agents[driver.key] = hold(agent, other, scene, rng)
+                self.agents[driver.key] = checked(agent, other, scene, rng)
             except BrokenWordError as error:
                 raise AgentError(f"agent '{driver.key}': {error}") from error
 
     def finish(self, title: str) -> None:
         """Asks the last questions; raises an `AgentError` if an answer differs."""
-        held: dict[str, Held[Any]] = {f"agent '{name}'": each for name, each in self.agents.items()}
-        for whose, each in {**held, "the traffic": self.traffic}.items():
+        every: dict[str, Checked[Any]] = {f"agent '{key}'": it for key, it in self.agents.items()}
+        for whose, each in {**every, "the traffic": self.traffic}.items():
             each.finish(f"{whose}, {title}")
 
 

@@ -14,6 +14,7 @@ A rule raises AssertionError with what was found and what was expected.
 import pickle
 import time
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from functools import partial, update_wrapper
 from typing import Any
 
@@ -24,6 +25,7 @@ from charms_bench.engine.rollouts import Futures
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import BrokenWordError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
+from charms_bench.plugins.consistency import Call, PolicyCall, SceneCall, called, copied, driving
 from charms_bench.plugins.deciding import (
     Asked,
     Question,
@@ -34,12 +36,10 @@ from charms_bench.plugins.deciding import (
     part_of,
     question_of,
 )
-from charms_bench.plugins.held_agents import check_decisions, driving
-from charms_bench.plugins.scene_questions import SceneQuestion, check_scene, copied
 from charms_bench.plugins.traffic import Traffic, assigned
 from charms_bench.world.actions import ACTIONS, problem_of
 from charms_bench.world.observations import observation_of
-from charms_bench.world.scene import Scene, SceneSettings, Vehicles
+from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
 
 Rule = Callable[[], None]
 _SCENES = 16
@@ -142,16 +142,12 @@ def policy_decides_for_each_vehicle_independently(policy: Policy) -> None:
 
     Continuous actions and memory may differ by rounding.
     """
-    asked = _question(policy)
-    everyone = np.arange(len(asked[0]))
-    actions, memory = answer_of(policy, asked, policy.decide(*part_of(asked, everyone)))
-    order = np.random.default_rng(0).permutation(everyone.size)
+    call, everyone = _call(policy)
+    order = np.random.default_rng(0).permutation(everyone)
     for size in (1, 7, order.size):
         for start in range(0, order.size, size):
-            rows = order[start : start + size]
             how = f"asked in batches of {size} in another order"
-            said = actions[rows], memory[rows]
-            _kept(check_decisions, policy, part_of(asked, rows), said, how, rows)
+            _kept(call.check, policy, order[start : start + size], how)
 
 
 def policy_does_not_change_its_observations(policy: Policy) -> None:
@@ -181,36 +177,29 @@ def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> N
 
 def model_drives_each_scene_independently(model: DriverModel) -> None:
     """What happens in one scene does not depend on the others, their number or their order."""
-    scene = example_scene(model=model)
-    said = driving(model, copied(scene).read_only(), _everyone(scene))
-    asked = SceneQuestion("drive", scene, _everyone(scene), said)
-    order = np.random.default_rng(0).permutation(_SCENES)
+    call, scenes = _call(model)
+    order = np.random.default_rng(0).permutation(scenes)
     for size in (1, 5, _SCENES):
-        rows, how = order[:size], f"shown {size} of {_SCENES} scenes in another order"
-        _kept(asked.part(rows).check, partial(driving, model), how)
+        how = f"shown {size} of {_SCENES} scenes in another order"
+        _kept(call.check, model, order[:size], how)
 
 
 def model_does_not_change_the_scene(model: DriverModel) -> None:
     """`drive` writes to `timer_s` and `memory` only."""
     scene = example_scene(model=model).read_only()
-    before, vehicles = copied(scene), _everyone(scene)
     try:
-        model.drive(scene, vehicles)
+        _kept(called, "drive", driving, model, scene, _everyone(scene), True)
     except ValueError as error:
         raise AssertionError(f"drive changed the scene: {error}") from error
-    _kept(check_scene, "drive", scene, before, vehicles, _everyone(scene), True)
 
 
 def agent_is_deterministic(agent: Agent) -> None:
     """Asked again about the same observations or scenes, after others, it answers the same."""
-    ask, others = _asked(agent), _asked(agent, seed=1)
-    first = ask()
-    differing = (ask() != first).sum()
-    _require(not differing, f"{differing} answers differ between two calls")
+    (call, everyone), (other, others) = _call(agent), _call(agent, seed=1)
+    _kept(call.check, agent, everyone, "asked again", True)
     for _ in range(20):
-        others()
-    differing = (ask() != first).sum()
-    _require(not differing, f"{differing} answers differ after 20 other calls")
+        _kept(other.check, agent, others, "asked again", True)
+    _kept(call.check, agent, everyone, "asked again after 20 other calls", True)
 
 
 def agent_answers_the_same_in_another_process(agent: Agent) -> None:
@@ -219,20 +208,21 @@ def agent_answers_the_same_in_another_process(agent: Agent) -> None:
         copy = pickle.loads(pickle.dumps(agent))
     except Exception as error:  # whatever a class does wrong
         raise AssertionError(f"cannot be pickled: {type(error).__name__}: {error}") from error
-    same = _asked(agent)() == _asked(copy)()
-    _require(same.all(), f"{(~same).sum()} answers differ after pickling")
+    call, everyone = _call(agent)
+    _kept(call.check, copy, everyone, "asked after pickling", True)
 
 
 def agent_answers_in_time(agent: Agent) -> None:
     """Asked about many vehicles, it takes at most 3 ms per vehicle, the best of five times."""
-    ask = _asked(agent)
-    took_ms = np.inf
+    call, everyone = _call(agent)
+    vehicles, took_ms = example_scene().x.size, np.inf
     for _ in range(5):
         if took_ms <= SLOW_MS:
             return
         start = time.perf_counter()
-        answers = ask()
-        took_ms = min(took_ms, (time.perf_counter() - start) * 1e3 / answers.shape[-1])
+        with suppress(BrokenWordError):  # another rule says it
+            call.check(agent, everyone, "asked again", True)
+        took_ms = min(took_ms, (time.perf_counter() - start) * 1e3 / vehicles)
     _require(took_ms <= SLOW_MS, f"takes {took_ms:z.1f} ms per vehicle; expected <= {SLOW_MS} ms")
 
 
@@ -277,22 +267,18 @@ def _question(policy: Policy, seed: int = 0) -> Question:
     return question_of(policy, asked._replace(kept=kept))
 
 
-def _asked(agent: Agent, seed: int = 0) -> Callable[[], NDArray[Any]]:
-    """Asks an agent about every vehicle of the example scenes."""
+def _call(agent: Agent, seed: int = 0) -> tuple[Call, Ints]:
+    """A call about every vehicle of the example scenes, and the rows that it can be checked by."""
     if isinstance(agent, Policy):
         asked = _question(agent, seed)
         everyone = np.arange(len(asked[0]))
-        return lambda: answer_of(agent, asked, agent.decide(*part_of(asked, everyone)))[0].T
+        actions, memory = answer_of(agent, asked, agent.decide(*part_of(asked, everyone)))
+        return PolicyCall(asked, np.array(actions), np.array(memory)), everyone
     scene = example_scene(seed, agent)
-    return lambda: _answer(agent, copied(scene).read_only(), _everyone(scene))
+    said = map(np.array, driving(agent, copied(scene).read_only(), _everyone(scene)))
+    return SceneCall("drive", driving, scene, _everyone(scene), [*said]), np.arange(_SCENES)
 
 
 def _everyone(scene: Scene) -> Vehicles:
     rows, places = np.nonzero(np.ones(scene.x.shape, dtype=np.bool_))
     return rows, places
-
-
-def _answer(model: DriverModel, scene: Scene, vehicles: Vehicles) -> NDArray[np.float64]:
-    acceleration, lane = model.drive(scene, vehicles)
-    driven = ~scene.crashed[vehicles]  # the answer for a wreck is ignored
-    return np.where(driven, np.stack([acceleration, lane]), 0.0)

@@ -93,135 +93,73 @@ def test_no_training_scene_is_ever_evaluated() -> None:
     assert FIRST_TRAINING_SEED > EVALUATION_SEEDS
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "message"),
-    [
-        (("hyperparameters", "batch_size"), 0, "hyperparameters.batch_size"),
-        (("hyperparameters", "batchsize"), 32, "hyperparameters.batchsize: unknown key"),
-        (
-            ("hyperparameters", "scenes"),
-            7,
-            "not a multiple of steps_per_gradient",
-        ),
-        (("hyperparameters", "replay_buffer"), 50_005, "replay_buffer 50005 is not a multiple"),
-        (("curve_steps",), 10_001, "curve_steps: 10001 is not a multiple of scenes 10"),
-        (("stages", "level_1", "steps"), 11, "stages.level_1.steps: 11 is not a multiple"),
-        (("stages", "level_1", "svo"), "kind", "stages.level_1.svo"),
-        (("stages", "level_1", "weights"), "fast", "no weights named 'fast'.*safe, efficient"),
-        (("stages", "level_1", "traffic"), {}, "stages.level_1.traffic: give a name"),
-        (("stages", "level_1", "traffic"), "level_O", "Did you mean 'level_0'.*this file: level_1"),
-        (("stages", "level_1", "traffic"), "prior_level_k", "stages depend on each other"),
-        (("stages", "level_1", "traffic"), {"mixture": {"level_9": 1.0}}, "named 'level_9'"),
-        (("stages", "level_1", "traffic"), {"mixture": {"level_0": 0.5}}, "must .* sum to 1"),
-        (
-            ("stages", "prior_level_k", "traffic"),
-            {"name": "level_1", "options": {"tau": 1.5}},
-            "no traffic named 'level_1'",
-        ),
-        (("seeds",), [1, 2, 1], "a seed is given twice in seeds"),
-        (("stages", "level_1", "variant"), "calm", "no variant named 'calm'; this file has: "),
-        (("weights", "safe", "comfort"), -1.0, "weights.safe.comfort"),
-        (("stages", "level_1", "scene", "density"), 0, "stages.level_1.scene.density"),
-    ],
-)
+WRONG: tuple[tuple[Path, str, Any, str], ...] = (
+    (SUITE, "hyperparameters.batch_size", 0, "hyperparameters.batch_size"),
+    (SUITE, "hyperparameters.batchsize", 32, "hyperparameters.batchsize: unknown key"),
+    (SUITE, "hyperparameters.scenes", 7, "not a multiple of steps_per_gradient"),
+    (SUITE, "hyperparameters.replay_buffer", 50_005, "replay_buffer 50005 is not a multiple"),
+    (SUITE, "curve_steps", 10_001, "curve_steps: 10001 is not a multiple of scenes 10"),
+    (SUITE, "stages.level_1.steps", 11, "stages.level_1.steps: 11 is not a multiple"),
+    (SUITE, "stages.level_1.svo", "kind", "stages.level_1.svo"),
+    (SUITE, "stages.level_1.weights", "fast", "no weights named 'fast'.*safe, efficient"),
+    (SUITE, "stages.level_1.traffic", {}, "stages.level_1.traffic: give a name"),
+    (SUITE, "stages.level_1.traffic", "level_O", "Did you mean 'level_0'.*this file: level_1"),
+    (SUITE, "stages.level_1.traffic", "prior_level_k", "stages depend on each other"),
+    (SUITE, "stages.level_1.traffic", {"mixture": {"level_9": 1.0}}, "named 'level_9'"),
+    (SUITE, "stages.level_1.traffic", {"mixture": {"level_0": 0.5}}, "must .* sum to 1"),
+    (SUITE, "stages.prior_level_k.traffic", {"name": "level_1", "options": {"tau": 1.5}},
+     "no traffic named 'level_1'"),
+    (SUITE, "seeds", [1, 2, 1], "a seed is given twice in seeds"),
+    (SUITE, "stages.level_1.variant", "calm", "no variant named 'calm'; this file has: "),
+    (SUITE, "weights.safe.comfort", -1.0, "weights.safe.comfort"),
+    (SUITE, "stages.level_1.scene.density", 0, "stages.level_1.scene.density"),
+    (SHIPPED, "stages.level_1.conditions", "level_9",
+     "level_1.conditions: no conditions named 'level_9'; this file has: level_0, "),
+    (SHIPPED, "conditions.level_0", [{"lanes": 3}, {"lanes": 2}, {"lanes": 5}],
+     "stages.level_1.conditions: scenes 500 is not a multiple of 11 conditions"),
+    (SHIPPED, "conditions.level_0", [], "conditions.level_0"),
+    (SHIPPED, "conditions.level_0", [{"lanes": 1}], "conditions.level_0.*lanes"),
+    (SHIPPED, "conditions.level_0", [{"traffic": "idm_mobi"}] * 10, "Did you mean 'idm_mobil'"),
+    (SHIPPED, "stages.level_1.prior", "person",
+     "level_1.prior: no stage named 'person' under human.stages; this file has: people, "),
+    (SHIPPED, "hyperparameters.prior_weight", 0.0,
+     "stages.level_1.prior: needs hyperparameters with a prior_weight, and standardised"),
+    (SHIPPED, "hyperparameters.standardised", False,
+     "stages.level_1.prior: needs hyperparameters with a prior_weight, and standardised"),
+    (SHIPPED, "hyperparameters.prior_weight", -0.1, "hyperparameters.prior_weight"),
+    (SHIPPED, "human.stages.people.hidden_layers", [64],
+     "stages.level_1.prior: has 1 hidden layers; expected as many as the stage has, 2"),
+    (SHIPPED, "human.simulated", None,
+     "human: a stage learns from `simulated` drivers: none given"),
+    (SHIPPED, "human.simulated.conditions", "level_9",
+     "human.simulated.conditions: no conditions named 'level_9'; this file has: level_0, "),
+    (SHIPPED, "human.simulated.traffic", "level_1",
+     "human.simulated.traffic: 'level_1' is a stage; expected installed agents or networks"),
+    (SHIPPED, "human.simulated.traffic", "humn",
+     "human.simulated.traffic: .*'humn'.*Did you mean 'human'"),
+    (SHIPPED, "human.simulated.agents", ["humn"],
+     "human.simulated.agents: .*'humn'.*Did you mean 'human'"),
+    (SHIPPED, "human.simulated.scene", {"decision_hz": 5},
+     "simulated.scene: expected simulation_hz 15 and decision_hz 3, found 15 and 5"),
+    (SHIPPED, "human.stages.charms_safe_egoistic.drivers", "simulated",
+     "charms_safe_egoistic.drivers: a stage that fine-tunes learns from recorded drivers; "),
+    (SHIPPED, "human.simulated.episodes", 1, "human.simulated.episodes"),
+    (SHIPPED, "human.samples.labels", "moment", "step_mps is for labels: manoeuvre"),
+    (SHIPPED, "human.samples.step_mps", 0.0, "human.samples.step_mps"),
+    (SHIPPED, "human.fine_tuning.loss", "entropy", "human.fine_tuning.loss"),
+    (SHIPPED, "stages.level_1.reward", {"failure": 10.0}, "reward.failure: unknown key"),
+    (SHIPPED, "stages.level_1.reward", {"jerk_mps3": 0.0}, "reward.jerk_mps3"),
+    (SHIPPED, "stages.level_1.reward", {"desired_speed_mps": 22.0},
+     "reward.desired_speed_mps: 22; expected more than 22 m/s, the lowest target speed of"),
+    (SHIPPED, "observation", {"type": "neighbours", "action_mask": True}, "without an action mask"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("suite", "path", "value", "message"), WRONG)
 def test_what_is_wrong_is_named_with_its_place(
-    tmp_path: Path, path: tuple[str, ...], value: Any, message: str
+    tmp_path: Path, suite: Path, path: str, value: Any, message: str
 ) -> None:
-    file = changed(tmp_path, *path, value=value)
-    with pytest.raises(SuiteError, match=rf"train\.yaml:\d+: .*{message}"):
-        load_training(file)
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "message"),
-    [
-        (
-            ("stages", "level_1", "conditions"),
-            "level_9",
-            "level_1.conditions: no conditions named 'level_9'; this file has: level_0, ",
-        ),
-        (
-            ("conditions", "level_0"),
-            [{"lanes": 3}, {"lanes": 2}, {"lanes": 5}],
-            "stages.level_1.conditions: scenes 500 is not a multiple of 11 conditions",
-        ),
-        (("conditions", "level_0"), [], "conditions.level_0"),
-        (("conditions", "level_0"), [{"lanes": 1}], "conditions.level_0.*lanes"),
-        (("conditions", "level_0"), [{"traffic": "idm_mobi"}] * 10, "Did you mean 'idm_mobil'"),
-        (
-            ("stages", "level_1", "prior"),
-            "person",
-            "level_1.prior: no stage named 'person' under human.stages; this file has: people, ",
-        ),
-        (
-            ("hyperparameters", "prior_weight"),
-            0.0,
-            "stages.level_1.prior: needs hyperparameters with a prior_weight, and standardised",
-        ),
-        (
-            ("hyperparameters", "standardised"),
-            False,
-            "stages.level_1.prior: needs hyperparameters with a prior_weight, and standardised",
-        ),
-        (("hyperparameters", "prior_weight"), -0.1, "hyperparameters.prior_weight"),
-        (
-            ("human", "stages", "people", "hidden_layers"),
-            [64],
-            "stages.level_1.prior: has 1 hidden layers; expected as many as the stage has, 2",
-        ),
-        (
-            ("human", "simulated"),
-            None,
-            "human: a stage learns from `simulated` drivers: none given",
-        ),
-        (
-            ("human", "simulated", "conditions"),
-            "level_9",
-            "human.simulated.conditions: no conditions named 'level_9'; this file has: level_0, ",
-        ),
-        (
-            ("human", "simulated", "traffic"),
-            "level_1",
-            "human.simulated.traffic: 'level_1' is a stage; expected installed agents or networks",
-        ),
-        (
-            ("human", "simulated", "traffic"),
-            "humn",
-            "human.simulated.traffic: .*'humn'.*Did you mean 'human'",
-        ),
-        (
-            ("human", "simulated", "agents"),
-            ["humn"],
-            "human.simulated.agents: .*'humn'.*Did you mean 'human'",
-        ),
-        (
-            ("human", "simulated", "scene"),
-            {"decision_hz": 5},
-            "simulated.scene: expected simulation_hz 15 and decision_hz 3, found 15 and 5",
-        ),
-        (
-            ("human", "stages", "charms_safe_egoistic", "drivers"),
-            "simulated",
-            "charms_safe_egoistic.drivers: a stage that fine-tunes learns from recorded drivers; ",
-        ),
-        (("human", "simulated", "episodes"), 1, "human.simulated.episodes"),
-        (("human", "samples", "labels"), "moment", "step_mps is for labels: manoeuvre"),
-        (("human", "samples", "step_mps"), 0.0, "human.samples.step_mps"),
-        (("human", "fine_tuning", "loss"), "entropy", "human.fine_tuning.loss"),
-        (("stages", "level_1", "reward"), {"failure": 10.0}, "reward.failure: unknown key"),
-        (("stages", "level_1", "reward"), {"jerk_mps3": 0.0}, "reward.jerk_mps3"),
-        (
-            ("stages", "level_1", "reward"),
-            {"desired_speed_mps": 22.0},
-            "reward.desired_speed_mps: 22; expected more than 22 m/s, the lowest target speed of",
-        ),
-        (("observation",), {"type": "neighbours", "action_mask": True}, "without an action mask"),
-    ],
-)
-def test_what_is_wrong_with_priors_and_conditions_is_named_with_its_place(
-    tmp_path: Path, path: tuple[str, ...], value: Any, message: str
-) -> None:
-    file = changed(tmp_path, *path, value=value, suite=SHIPPED)
+    file = changed(tmp_path, *path.split("."), value=value, suite=suite)
     with pytest.raises(SuiteError, match=rf"train\.yaml:\d+: .*{message}"):
         load_training(file)
 

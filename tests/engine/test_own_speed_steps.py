@@ -16,7 +16,7 @@ from charms_bench.errors import InputError
 from charms_bench.people.behind import drive_behind
 from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.plugins.agent import Agent
-from charms_bench.plugins.held_agents import hold
+from charms_bench.plugins.consistency import checked
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.plugins.traffic import OneAgent
@@ -198,7 +198,7 @@ def test_steps_beside_the_actions_are_rejected() -> None:
 
 def test_a_policy_that_is_held_to_its_word_keeps_its_steps() -> None:
     policies = Scripted([IDLE], GROWING), Scripted([IDLE], GROWING)
-    held = hold(*policies, SceneSettings(), np.random.default_rng(0))
+    held = checked(*policies, SceneSettings(), np.random.default_rng(0))
     assert isinstance(held, Policy)
     assert held.actions == with_speed_steps(*GROWING)
 
@@ -207,15 +207,10 @@ def network(
     network_file: Callable[..., Path], name: str, steps: str | None = None, seed: int = 0
 ) -> Path:
     """A file whose network has random weights, and decides on FASTER and SLOWER most often."""
-    onnx = pytest.importorskip("onnx")
     weights = np.random.default_rng(seed).normal(size=(35, 5))
     weights[:, [ACTIONS.index("LANE_LEFT"), ACTIONS.index("LANE_RIGHT")]] *= 0.3
-    path = network_file(weights, name=name)
-    model = onnx.load(path)
     said = {} if steps is None else {"target_speed_steps_mps": steps}
-    onnx.helper.set_model_props(model, said)
-    onnx.save(model, path)
-    return path
+    return network_file(weights, name=name, metadata=said)
 
 
 @pytest.mark.slow

@@ -1,11 +1,11 @@
 """Episodes of a policy with speed steps of its own, looked at again."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from linear_network import linear_network
 
 from charms_bench.episodes.avoidability import _Always, avoidability, collisions
 from charms_bench.episodes.minari_dataset import check_policy, environment_of
@@ -29,16 +29,13 @@ SCENE = {"duration_s": 6.0, "traffic_vehicles": 9, "density": 1.5, "ego_slots": 
 EPISODES = 30
 
 
-@pytest.fixture
-def cell(network_file: Callable[..., Path], tmp_path: Path) -> RecordedCell:
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> RecordedCell:
     """Its ego always speeds up, by 4 m/s and then by 3 m/s, to 33 m/s."""
-    onnx = pytest.importorskip("onnx")
-    weights = np.zeros((35, 5))
+    weights, folder = np.zeros((35, 5)), tmp_path_factory.mktemp("hasty")
     weights[0, FASTER] = 1.0  # the first number that a vehicle observes is 1
-    path = network_file(weights, name="hasty.onnx")
-    model = onnx.load(path)
-    onnx.helper.set_model_props(model, {"target_speed_steps_mps": "[4.0, 3.0]"})
-    onnx.save(model, path)
+    steps = {"target_speed_steps_mps": "[4.0, 3.0]"}
+    path = linear_network(folder / "hasty.onnx", weights, metadata=steps)
     suite = {
         "suite": "small",
         "episodes": EPISODES,
@@ -47,7 +44,7 @@ def cell(network_file: Callable[..., Path], tmp_path: Path) -> RecordedCell:
         "egos": [{"agent": str(path), "label": "hasty"}, {"agent": "level_0"}],
         "traffic_models": [{"traffic": {"mixture": {"idm_mobil": 0.5, "level_0": 0.5}}}],
     }
-    return RecordedCell(run(Suite.model_validate(suite), tmp_path / "run", workers=1), 0, Path())
+    return RecordedCell(run(Suite.model_validate(suite), folder / "run", workers=1), 0, Path())
 
 
 def test_episodes_repeat_and_can_be_taken_over(cell: RecordedCell) -> None:

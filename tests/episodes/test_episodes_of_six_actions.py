@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from linear_network import linear_network
 
 from charms_bench.api.results import open_run
 from charms_bench.episodes.animation import moment_of
@@ -36,25 +37,26 @@ TEXT = json.dumps([*LISTED, {"name": "BRAKE", "speed_from_present_mps": -6.0}])
 SCENE = {"duration_s": 6.0, "traffic_vehicles": 9, "density": 1.5, "ego_slots": 3}
 
 
-def braking(network_file: Callable[..., Path], count: int = 6, text: str = TEXT) -> Path:
+def braking(folder: Path, count: int = 6, text: str = TEXT, **more: str) -> Path:
     """Brakes behind a slower leader in sight, and speeds up otherwise."""
     weights = np.zeros((35, count))
     weights[0, FASTER], weights[0, count - 1] = 0.5, 0.0  # the first number is 1
     weights[5 * FRONT + 3, count - 1] = -20.0  # the relative speed of the leader
-    return network_file(weights, name="braking.onnx", metadata={"actions": text})
+    return linear_network(folder / "braking.onnx", weights, metadata={"actions": text, **more})
 
 
-@pytest.fixture
-def cell(network_file: Callable[..., Path], tmp_path: Path) -> RecordedCell:
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> RecordedCell:
+    folder = tmp_path_factory.mktemp("braking")
     suite = {
         "suite": "small",
         "episodes": 30,
         "seed": 900_000_000,
         "scene": SCENE,
-        "egos": [{"agent": str(braking(network_file)), "label": "braking"}, {"agent": "level_0"}],
+        "egos": [{"agent": str(braking(folder)), "label": "braking"}, {"agent": "level_0"}],
         "traffic_models": [{"traffic": {"mixture": {"idm_mobil": 0.5, "level_0": 0.5}}}],
     }
-    return RecordedCell(run(Suite.model_validate(suite), tmp_path / "run", workers=1), 0, Path())
+    return RecordedCell(run(Suite.model_validate(suite), folder / "run", workers=1), 0, Path())
 
 
 def test_a_run_is_replayed_with_the_names_of_its_actions(cell: RecordedCell) -> None:
@@ -111,10 +113,10 @@ def test_a_dataset_has_its_space_and_its_environment(cell: RecordedCell) -> None
     assert environment.reset(seed=900_000_000)[1]["action_mask"].shape == (6,)
 
 
-def test_both_engines_agree(network_file: Callable[..., Path]) -> None:
+def test_both_engines_agree(tmp_path: Path) -> None:
     case = Case(
         scene=SceneSettings.model_validate(SCENE | {"duration_s": 3.0}),
-        ego=AgentSpec(name=str(braking(network_file))),
+        ego=AgentSpec(name=str(braking(tmp_path))),
         traffic=TrafficSpec(name="idm_mobil"),
     )
     found = verify.compare(case, 900_000_000, 4)
@@ -152,17 +154,13 @@ def test_both_engines_agree_to_the_last_bit(
     ],
 )
 def test_a_file_of_another_width_or_with_impossible_actions_says_what_was_expected(
-    network_file: Callable[..., Path], count: int, text: str, what: str
+    tmp_path: Path, count: int, text: str, what: str
 ) -> None:
     with pytest.raises(ModelError, match=what):
-        OnnxPolicy(braking(network_file, count, text))
+        OnnxPolicy(braking(tmp_path, count, text))
 
 
-def test_speed_steps_are_given_once(network_file: Callable[..., Path]) -> None:
-    onnx = pytest.importorskip("onnx")
-    path = braking(network_file)
-    model = onnx.load(path)
-    onnx.helper.set_model_props(model, {"actions": TEXT, "target_speed_steps_mps": "[1]"})
-    onnx.save(model, path)
+def test_speed_steps_are_given_once(tmp_path: Path) -> None:
+    path = braking(tmp_path, target_speed_steps_mps="[1]")
     with pytest.raises(ModelError, match="steps are part of the meta-actions in the list"):
         OnnxPolicy(path)

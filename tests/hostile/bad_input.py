@@ -14,3 +14,5 @@ class BadInput(NamedTuple):
     title: str
     make: Callable[[Path], Sequence[object]]
     """Writes its files into a folder and returns the command line, run in that folder."""
+    said: str = ""
+    """Words of the message."""

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from bad_input import BadInput
-from bad_suites import BASE
 from onnx import TensorProto, helper, numpy_helper
 
 FLOAT = TensorProto.FLOAT
@@ -152,7 +151,7 @@ def one_node(operator: str, domain: str = "", **attributes: Any) -> Any:
 
 
 def with_function() -> Any:
-    model = network([helper.make_node("Mine", ["observations"], ["values"], domain="com.example")])
+    model = network()
     inner = [helper.make_node("Identity", ["a"], ["b"])]
     opsets = [helper.make_opsetid("", 17)]
     model.functions.append(helper.make_function("com.example", "Mine", ["a"], ["b"], inner, opsets))
@@ -160,10 +159,6 @@ def with_function() -> Any:
 
 
 MODELS: dict[str, Callable[[], Any]] = {
-    "weights in /etc/passwd": lambda: outside("/etc/passwd"),
-    "weights in the working directory": lambda: outside("suite.yaml"),
-    "weights up and away": lambda: outside("../../../../../../etc/passwd"),
-    "weights in /dev/zero": lambda: outside("/dev/zero"),
     "weights elsewhere, disguised": lambda: disguised("suite.yaml"),
     "weights elsewhere, in a node": lambda: added(
         helper.make_node(
@@ -171,11 +166,7 @@ MODELS: dict[str, Callable[[], Any]] = {
         )
     ),
     "weights of a terabyte, announced": lambda: announced(2**20, 2**20, data=bytes(8)),
-    "weights of 2^124 numbers": lambda: announced(2**62, 2**62),
-    "weights of -5 rows": lambda: announced(-5, 35),
     "weights of nothing": lambda: announced(35, 0),
-    "weights cut short": lambda: announced(35, 5, data=bytes(8)),
-    "weights of a shape that fits nothing": lambda: announced(3, 7, data=bytes(84)),
     "zeros of 64 GiB": lambda: added(
         helper.make_node("ConstantOfShape", ["size"], ["large"]),
         tensors=[constant("size", np.array([2**34]))],
@@ -201,11 +192,6 @@ MODELS: dict[str, Callable[[], Any]] = {
     ),
     "a loop without end": endless,
     "somebody's own operator": lambda: one_node("Evil", "com.example"),
-    "an operator that runs Python": lambda: one_node("PyOp", "ai.onnx.contrib", code="import os"),
-    "an operator nobody knows": lambda: one_node("Evil"),
-    "an operator without a name": lambda: one_node(""),
-    "an operator with a name of 100,000 letters": lambda: one_node("E" * 100_000),
-    "onnxruntime's operators": lambda: one_node("EPContext", "com.microsoft", embed_mode=0),
     "chance": lambda: one_node("RandomNormalLike"),
     "texts": lambda: added(helper.make_node("Constant", [], ["large"], value_string="x" * 1000)),
     "a tensor of texts": lambda: added(tensors=[helper.make_tensor("large", 8, [1], [b"x" * 99])]),
@@ -227,69 +213,53 @@ MODELS: dict[str, Callable[[], Any]] = {
         [HIDDEN, *chain(100_000), helper.make_node("Identity", ["link100000"], ["values"])]
     ),
     "a million empty fields": lambda: b"\x3a\xc8\x8a\x7a" + b"\x6a\x00" * 1_000_100,
-    "a wrong type of node": lambda: one_node("Conv"),
-    "five inputs": lambda: network(tensors=[], nodes=[LINEAR]),
-    "30 numbers in": lambda: network(seen=("batch", 30)),
-    "8 rows in": lambda: network(seen=("batch", 8, 5)),
-    "a picture in": lambda: network(seen=("batch", 3, 224, 224)),
     "a fixed batch": lambda: network(seen=(1, 35)),
     "a free width": lambda: network(seen=("batch", "width")),
-    "no shape": lambda: network(seen=()),
-    "64 dimensions": lambda: network(seen=("batch", *[1] * 63)),
-    "no numbers in": lambda: network(seen=("batch", 0)),
-    "4 values out": lambda: network(valued=("batch", 4)),
     "doubles": lambda: network(kind=TensorProto.DOUBLE),
-    "texts in and out": lambda: network(kind=TensorProto.STRING),
-    "texts out": lambda: network(
-        [
-            helper.make_node("MatMul", ["observations", "weights"], ["numbers"]),
-            helper.make_node("Cast", ["numbers"], ["values"], to=TensorProto.STRING),
-        ],
-        out=TensorProto.STRING,
-    ),
-    "no nodes": lambda: network(nodes=[]),
-    "a node twice": lambda: network(nodes=[LINEAR, LINEAR]),
-    "nodes in a circle": lambda: network(
-        [
-            helper.make_node("Identity", ["b"], ["a"]),
-            helper.make_node("Identity", ["a"], ["b"]),
-            LINEAR,
-        ]
-    ),
     "more values than vehicles": lambda: network(
         [HIDDEN, helper.make_node("Concat", ["hidden", "hidden"], ["values"], axis=0)],
         valued=("many", 5),
-    ),
-    "one vehicle's values for all": lambda: network(
-        [HIDDEN, helper.make_node("ReduceMax", ["hidden"], ["values"], axes=[0], keepdims=1)],
-        valued=("one", 5),
     ),
     "values that are no numbers": lambda: network(
         [HIDDEN, helper.make_node("Mul", ["hidden", "nan"], ["values"])],
         [WEIGHTS, constant("nan", np.array([np.nan], np.float32))],
     ),
     "no time between decisions": lambda: network(facts={"decision_hz": "inf"}),
-    "no decision in 10^300 seconds": lambda: network(facts={"decision_hz": "1e-300"}),
-    "a rate of no number": lambda: network(facts={"decision_hz": "$(reboot)"}),
-    "a rate of 100,000 digits": lambda: network(facts={"decision_hz": "9" * 100_000}),
     "an observation nobody knows": lambda: network(facts={"observation": "lidar"}),
-    "an observation of 10^9 rows": lambda: network(
-        facts={"observation": '{"name": "Kinematics", "vehicles_count": 1000000000}'}
-    ),
     "an observation without end": lambda: network(facts={"observation": "{" * 100_000}),
     "a history of 10^9 observations": lambda: network(facts={"history": "1000000000"}),
     "a memory of 10^9 numbers": lambda: with_port("state", ["batch", 10**9], following=True),
     "a memory that is forgotten": lambda: with_port("state", ["batch", 8]),
     "10^9 random numbers": lambda: with_port("noise", ["batch", 10**9]),
     "nested 10,000 deep": lambda: nested(10_000),
-    "empty": lambda: b"",
     "a text": lambda: b"not a network",
-    "zeros": lambda: bytes(1000),
-    "a picture": lambda: b"\x89PNG\r\n\x1a\n" + bytes(1000),
-    "a number without end": lambda: b"\xff" * 1000,
-    "a length of 2^63": lambda: b"\x3a" + b"\xff" * 8 + b"\x7f" + b"x",
-    "a pickle": lambda: b"cos\nmkdir\n(S'canary'\ntR.",
 }  # fmt: skip
+
+
+SAID = {
+    "weights elsewhere, in a node": "keeps tensors in other files",
+    "a sparse constant of 32 GiB": "has sparse tensors",
+    "somebody's own operator": "has the operator 'com.example.Evil'",
+    "chance": "has the operator 'RandomNormalLike'",
+    "texts": "has texts among its tensors",
+    "a tensor of texts": "has texts among its tensors",
+    "functions": "has functions; save it",
+    "an integer divided by an observation": "cannot be computed",
+    "100,000 nodes": "has more than 10,000 nodes",
+    "a million empty fields": "fields; a policy is far smaller",
+    "a fixed batch": "expected one float32 input",
+    "a free width": "expected one float32 input",
+    "doubles": "cannot be loaded by onnxruntime",
+    "more values than vehicles": "returns values of shape (128, 5); expected (64, 5)",
+    "values that are no numbers": "returns values that are NaN",
+    "a memory of 10^9 numbers": "with at most 4,096 numbers",
+    "10^9 random numbers": "with at most 4,096 numbers",
+    "a memory that is forgotten": "in the same order, an output of the same shape",
+    "nested 10,000 deep": "has graphs within its graph",
+    "a text": "is not an ONNX file, or is damaged",
+    "15 of 30 parts": "is not an ONNX file, or is damaged",
+}
+"""Words of the message about some of them."""
 
 
 def _cut_short(part: int, of: int) -> bytes:
@@ -297,7 +267,7 @@ def _cut_short(part: int, of: int) -> bytes:
     return data[: len(data) * part // of]
 
 
-MODELS |= {f"{part} of 30 parts": partial(_cut_short, part, 30) for part in range(1, 30)}
+MODELS |= {f"{part} of 30 parts": partial(_cut_short, part, 30) for part in (1, 15, 29)}
 
 
 def _bad(title: str, model: Callable[[], Any]) -> BadInput:
@@ -305,10 +275,9 @@ def _bad(title: str, model: Callable[[], Any]) -> BadInput:
         made = model()
         data = made if isinstance(made, bytes) else made.SerializeToString()
         (folder / "policy.onnx").write_bytes(data)
-        (folder / "suite.yaml").write_text(BASE.replace("agent: idm_mobil", "agent: policy.onnx"))
-        return "run", folder / "suite.yaml", "--output", "run"
+        return "check", "policy.onnx"
 
-    return BadInput(f"network: {title}", make)
+    return BadInput(f"network: {title}", make, SAID.get(title, ""))
 
 
 CASES = tuple(_bad(*item) for item in MODELS.items())

@@ -1,6 +1,5 @@
 """Run folders that somebody has altered, and bad arguments for intact ones."""
 
-import hashlib
 import json
 import os
 import shutil
@@ -14,6 +13,7 @@ import polars as pl
 from bad_arguments import LONG, SUITE
 from bad_input import BadInput
 from command_line import charms_bench
+from run_folders import sign
 
 
 @cache
@@ -61,16 +61,6 @@ def _instead(kind: str, make_file: Callable[[Path], object]) -> Callable[[Path],
 
 def _many_rows(path: Path) -> None:
     pl.DataFrame({"episode": pl.repeat(0, 10_000_000, eager=True)}).write_parquet(path)
-
-
-def sign(run: Path, name: str) -> None:
-    """Writes the checksums of a shard that was changed."""
-    lines = [
-        f"{hashlib.sha256((run / kind / f'{name}.parquet').read_bytes()).hexdigest()}  "
-        f"{kind}/{name}.parquet\n"
-        for kind in ("steps", "counts", "drivers", "episodes")
-    ]
-    (run / "checksums" / f"{name}.sha256").write_text("".join(lines))
 
 
 def signed(kind: str, change: Callable[[pl.DataFrame], pl.DataFrame]) -> Callable[[Path], object]:
@@ -122,9 +112,7 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
     "a manifest without a suite": _text('{"format": 4}'),
     "a manifest with a pickle": _text("cos\nmkdir\n(S'canary'\ntR."),
     "a suite that is a list": _manifest(lambda manifest: manifest.update(suite=[])),
-    "a suite that is nothing": _manifest(lambda manifest: manifest.update(suite=None)),
     "a suite called ../../x": _suite(suite="../../x"),
-    "a suite called /etc/passwd": _suite(suite="/etc/passwd"),
     "a suite of another seed": _suite(seed=10**12),
     "a suite without egos": _suite(egos=[]),
     "a suite of unknown egos": _suite(egos=[{"agent": {"name": "nobody"}}] * 2),
@@ -137,11 +125,8 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
     "a manifest with a field twice": _twice,
     "agents that are a list": _manifest(lambda manifest: manifest.update(agents=[1])),
     "an agent that is a number": _manifest(lambda manifest: manifest["agents"].update(idm_mobil=1)),
-    "modules that are a list": _manifest(lambda manifest: manifest.update(modules=[1])),
-    "versions that are a text": _manifest(lambda manifest: manifest.update(versions="1")),
     "an engine that is a list": _manifest(lambda manifest: manifest.update(engine=["batched"])),
     "a forged shard of later episodes": forged(f"000-000000150-{'0' * 16}"),
-    "a forged shard of another cell": forged(f"001-000000000-{'0' * 16}"),
     "a forged shard of the same episodes": forged(f"000-000000000-{'0' * 16}"),
     "a speed that is not a number": signed(
         "steps", lambda rows: rows.with_columns(speed=pl.lit(float("nan"), pl.Float32))
@@ -150,17 +135,12 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
         "steps", lambda rows: rows.with_columns(pl.col("episode") + 2)
     ),
     "a step twice": signed("steps", lambda rows: pl.concat([rows, rows.tail(1)])),
-    "steps in another order": signed("steps", pl.DataFrame.reverse),
     "rows cut short": lambda run: os.truncate(_shard("steps")(run), 100),
-    "rows that are a text": _instead("episodes", lambda path: path.write_text("hello")),
     "rows of another kind": _instead("steps", _many_rows),
     "rows of 10^7 episodes": _instead("episodes", _many_rows),
     "rows that are a folder": _instead("episodes", Path.mkdir),
     "rows that are missing": _instead("steps", lambda path: None),
     "rows that are a link to nowhere": _instead("steps", lambda path: path.symlink_to("nowhere")),
-    "rows that are a link to /etc/passwd": _instead(
-        "steps", lambda path: path.symlink_to("/etc/passwd")
-    ),
     "a shard by another name": lambda run: _shard("checksums")(run).rename(
         run / "checksums" / "0-0-.sha256"
     ),
@@ -175,20 +155,15 @@ COMMANDS: tuple[Sequence[object], ...] = (
     ("replay", "run", 0),
     ("compare", "run", "run"),
 )
+"""Each folder is read by one of these commands, in turn."""
 
 WHOLE: tuple[Sequence[object], ...] = (
     ("show", "run", "run"),
     ("show", "run/manifest.json"),
     ("show", "run/tables"),
     ("show", "run", "--metric", ""),
-    ("show", "run", "--metric", "nobody"),
-    ("show", "run", "--metric", "speed_mean", "--metric", "__class__"),
-    ("show", "run", "--metric", "\x1b[2J"),
     ("show", "run", "--metric", LONG),
     ("report", "run", "run"),
-    ("report", "run", "run/."),
-    ("report", "run", "nowhere"),
-    ("report", "run/manifest.json"),
     ("report", "run/tables"),
     ("report", "run", "--output", "run"),
     ("report", "run", "--output", "suite.yaml/x.html"),
@@ -203,16 +178,10 @@ WHOLE: tuple[Sequence[object], ...] = (
     ("report", "run", "--episode", "run:-1"),
     ("report", "run", "--episode", "run:1.0"),
     ("report", "run", "--episode", "run:²"),
-    ("report", "run", "--episode", "run:２"),
-    ("report", "run", "--episode", f"run:{'9' * 30}"),
     ("report", "run", "--episode", f"run:{'9' * 5000}"),
-    ("report", "run", "--episode", "run:2"),
     ("report", "run", "--episode", "run:0:nobody"),
     ("report", "run", "--episode", "run:0:IDM+MOBIL:nobody"),
-    ("report", "run", "--episode", "run:0:IDM+MOBIL:IDM+MOBIL:more"),
     ("report", "run", "--episode", "elsewhere:0"),
-    ("report", "run", "--episode", "run:0:\x1b[2J"),
-    ("report", "run", "--episode", f"run:0:{LONG}"),
     ("report", "run", "--episode", "0", "--top", "-1"),
 )
 """Bad arguments for an intact run."""
@@ -239,5 +208,8 @@ def _bad(title: str, change: Callable[[Path], object], command: Sequence[object]
 
 CASES = (
     *map(_bad_words, WHOLE),
-    *(_bad(title, change, command) for title, change in FOLDERS.items() for command in COMMANDS),
+    *(
+        _bad(title, change, COMMANDS[k % len(COMMANDS)])
+        for k, (title, change) in enumerate(FOLDERS.items())
+    ),
 )

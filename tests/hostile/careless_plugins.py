@@ -73,17 +73,6 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy that keeps what it remembers of its vehicles in itself",
-        """
-last = None
-def decide(self, observations):
-    if self.last is None or len(self.last) != len(observations):
-        self.last = np.full(len(observations), SLOWER)
-    self.last = np.where(self.last == SLOWER, FASTER, SLOWER)
-    return self.last.copy()
-""",
-    ),
-    _policy(
         "A policy that draws random numbers",
         """
 def decide(self, observations):
@@ -102,13 +91,6 @@ def decide(self, observations):
         "rng = np.random.default_rng(5)",
     ),
     _policy(
-        "A policy whose actions depend on the size of its batch",
-        """
-def decide(self, observations):
-    return np.full(len(observations), FASTER if len(observations) > 1 else IDLE)
-""",
-    ),
-    _policy(
         "A policy that standardises its observations over the batch",
         """
 def decide(self, observations):
@@ -121,14 +103,6 @@ def decide(self, observations):
         """
 def decide(self, observations):
     return np.arange(len(observations)) % 5
-""",
-    ),
-    _policy(
-        "A policy that writes to its observations",
-        """
-def decide(self, observations):
-    observations[:, :, 3:] *= 66.0
-    return np.where(observations[:, 0, 3] < 25, FASTER, IDLE)
 """,
     ),
     _policy(
@@ -213,14 +187,6 @@ def decide(self, observations):
         "import ctypes",
     ),
     _policy(
-        "A policy whose decision rate is a text instead of a number",
-        """
-decision_hz = "often"
-def decide(self, observations):
-    return np.full(len(observations), FASTER)
-""",
-    ),
-    _policy(
         "A policy whose hash of weights is different each time",
         """
 @property
@@ -232,20 +198,12 @@ def decide(self, observations):
         "from itertools import count\n\nnumbers = count()",
     ),
     _model(
-        "A driver model that writes to the scene",
-        f"scene.speed[vehicles] = 33.0\n{KEEPS}",
-    ),
-    _model(
         "A driver model that writes to the scene behind the read-only view",
         f"scene.x.base[vehicles] += 1.0\n{KEEPS}",
     ),
     _model(
         "A driver model that sets the timers of other vehicles",
         f"scene.timer_s[:] = 0.0\n{KEEPS}",
-    ),
-    _model(
-        "A driver model whose answers depend on the number of scenes",
-        "return np.full(vehicles[0].size, float(len(scene.x) > 1)), scene.lane[vehicles]",
     ),
     _model(
         "A driver model whose answers for a scene depend on another scene",
@@ -267,14 +225,6 @@ agents = ("idm_mobil", "stackelberg")
 rng = np.random.default_rng(4)
 def assign(self, rng, scenes, vehicles):
     return self.rng.choice(self.agents, size=(scenes, vehicles))
-""",
-    ),
-    _traffic(
-        "A traffic that assigns an agent that it does not list",
-        """
-agents = ("idm_mobil", "stackelberg")
-def assign(self, rng, scenes, vehicles):
-    return np.full((scenes, vehicles), "level_0")
 """,
     ),
     _policy(
@@ -311,14 +261,6 @@ def assign(self, rng, scenes, vehicles):
 agents = ("idm_mobil",)
 def assign(self, rng, scenes, vehicles):
     return np.full((scenes, vehicles - 1), "idm_mobil")
-""",
-    ),
-    _traffic(
-        "A traffic of one agent that assigns nothing",
-        """
-agents = ("idm_mobil",)
-def assign(self, rng, scenes, vehicles):
-    pass
 """,
     ),
     _policy(

@@ -292,18 +292,6 @@ def test_a_network_may_take_several_observations(written: Write, shape: Shape) -
         rule()
 
 
-@pytest.mark.parametrize("said", ["0", "-1", "many", "1.5", "101", "9" * 5000])
-def test_a_history_that_is_no_number_is_named(written: Write, said: str) -> None:
-    nodes = [helper.make_node("MatMul", ["observations", "weights"], ["values"])]
-    ports = {"observations": ("batch", 35)}, {"values": ("batch", 5)}
-    path = written(*ports, nodes, constants={"weights": WEIGHTS}, history=said)
-    with pytest.raises(ModelError, match=r"metadata: history is '.{1,40}'; expected a number of"):
-        OnnxPolicy(path)
-    path = written(*ports, nodes, constants={"weights": WEIGHTS}, history="2")
-    with pytest.raises(ModelError, match=r"expected one float32 input \(batch, 70\) or \(batch, 2"):
-        OnnxPolicy(path)
-
-
 def test_the_mask_of_a_history_is_that_of_the_newest_observation(written: Write) -> None:
     nodes = [
         helper.make_node("MatMul", ["observations", "weights"], ["unmasked"]),

@@ -2,11 +2,9 @@
 
 import hashlib
 import json
-import os
 import shutil
 import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +12,12 @@ import numpy as np
 import polars as pl
 import pytest
 from command_line import Called, charms_bench
+from linear_network import linear_network
+from run_folders import sign
 
 import charms_bench as harness
 from charms_bench.runs import audit_software
-from charms_bench.runs.code_hashes import SOURCES, commit, module_blobs
+from charms_bench.runs.code_hashes import SOURCES, commit, library_versions, module_blobs
 
 MINE = {"distribution": "my-plugins", "version": "0.1.0"}
 SUITE = """\
@@ -39,23 +39,11 @@ traffic_models: [{traffic: idm_mobil}]
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run of four shards, unaltered."""
-    onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
     folder = tmp_path_factory.mktemp("whole")
     (folder / "suite.yaml").write_text(SUITE)
-    helper, rng = onnx.helper, np.random.default_rng(0)
-    for name in ("policy", "other"):
-        weights = onnx.numpy_helper.from_array(rng.normal(size=(35, 5)).astype("f4"), "weights")
-        graph = helper.make_graph(
-            [helper.make_node("MatMul", ["observations", "weights"], ["values"])],
-            "policy",
-            [helper.make_tensor_value_info("observations", 1, ["batch", 35])],
-            [helper.make_tensor_value_info("values", 1, ["batch", 5])],
-            [weights],
-        )
-        opset = [helper.make_opsetid("", 17)]
-        onnx.save(
-            helper.make_model(graph, opset_imports=opset, ir_version=9), folder / f"{name}.onnx"
-        )
+    for seed, name in enumerate(("policy", "other")):
+        weights = np.random.default_rng(seed).normal(size=(35, 5))
+        linear_network(folder / f"{name}.onnx", weights)
     made = charms_bench("run", "suite.yaml", "--workers", 1, "--output", "run", cwd=folder)
     assert made.returncode == 0, made.stderr
     return folder
@@ -90,17 +78,6 @@ def shard(folder: Path, kind: str, cell: int = 0) -> Path:
     return min((folder / "run" / kind).glob(f"{cell:03d}-*.parquet"))
 
 
-def sign(folder: Path, path: Path) -> None:
-    """Writes the checksum of a file that was changed, as somebody would who hides the change."""
-    checksums = folder / "run" / "checksums" / f"{path.stem}.sha256"
-    name = f"{path.parent.name}/{path.name}"
-    lines = [
-        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {name}" if name in line else line
-        for line in checksums.read_text().splitlines()
-    ]
-    checksums.write_text("\n".join(lines) + "\n")
-
-
 def rename_shard(folder: Path, name: str, new: str) -> None:
     """Gives a shard another name, and checksums that fit."""
     run = folder / "run"
@@ -109,13 +86,6 @@ def rename_shard(folder: Path, name: str, new: str) -> None:
     old = run / "checksums" / f"{name}.sha256"
     old.with_stem(new).write_text(old.read_text().replace(name, new))
     old.unlink()
-
-
-def change_keys(folder: Path) -> None:
-    """Gives every shard a key as of other software."""
-    for path in sorted((folder / "run" / "checksums").iterdir()):
-        beginning = path.stem.rpartition("-")[0]
-        rename_shard(folder, path.stem, f"{beginning}-{'0' * 16}")
 
 
 def change_digit(folder: Path) -> str:
@@ -160,101 +130,72 @@ def test_the_verdict_says_how_likely_a_false_shard_was_missed(folder: Path) -> N
     assert audit_of(folder, shards=3, workers=1).undrawn == 0.25
 
 
-def test_a_digit_changed_in_a_table_is_named(folder: Path) -> None:
-    expected = change_digit(folder)
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert f"tables/small.csv: IDM, idm_mobil, paper-2, dhw_mean: {expected}" in answer.stdout
+def add(name: str) -> Callable[[Path], None]:
+    """Adds a file of nothing to the run folder."""
+
+    def change(folder: Path) -> None:
+        (folder / "run" / name).parent.mkdir(exist_ok=True)
+        (folder / "run" / name).write_text("x")
+
+    return change
 
 
-@pytest.mark.parametrize("module", ["charms_bench.world.road", "charms_bench.report.markdown"])
-@pytest.mark.parametrize("commit", ["", "1234abcd"])
-def test_a_changed_digit_is_false_whatever_code_the_manifest_names(
-    folder: Path, module: str, commit: str
-) -> None:
-    change_digit(folder)
+def link(name: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        path = folder / "run" / name
+        path.rename(folder / path.name)
+        path.symlink_to(folder / path.name)
 
-    def change(manifest: dict[str, Any]) -> None:
-        manifest["modules"][module] = "0" * 40
-        manifest["commit"] = commit
-
-    change_manifest(folder, change)
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert "fail     tables    tables/small.csv: IDM, idm_mobil" in answer.stdout
+    return change
 
 
-def test_a_digit_changed_in_a_page_is_false_whatever_code_the_manifest_names(folder: Path) -> None:
-    page = folder / "run" / "tables" / "small.md"
-    page.write_text(page.read_text().replace("0", "1", 1))
-    module = "charms_bench.report.markdown"
-    change_manifest(folder, lambda manifest: manifest["modules"].update({module: "0" * 40}))
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert "fail     tables    tables/small.md: line " in answer.stdout
+def manifest(**fields: object) -> Callable[[Path], None]:
+    return lambda folder: change_manifest(folder, lambda each: each.update(fields))
 
 
-def test_a_table_of_other_metrics_leaves_the_other_tables_checked(folder: Path) -> None:
-    tables = folder / "run" / "tables"
-    (tables / "small.csv").write_text((tables / "small.csv").read_text().replace("paper-2", "x"))
-    (tables / "small-drivers.csv").write_text("We win.")
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert "metric_set is x; computed again, paper-2" in answer.stdout
-    assert "tables/small-drivers.csv: line 1 is 'We win.'" in answer.stdout
+def page(name: str) -> Callable[[Path], None]:
+    """Changes a digit of a table that people read."""
+
+    def change(folder: Path) -> None:
+        path = folder / "run" / "tables" / name
+        path.write_text(path.read_text().replace("0", "1", 1))
+
+    return change
 
 
-def test_a_digit_changed_in_a_table_that_people_read_is_named(folder: Path) -> None:
-    page = folder / "run" / "tables" / "small-drivers.md"
-    page.write_text(page.read_text().replace("0", "1", 1))
-    answer = audited(folder)
-    assert answer.returncode == 1
-    assert "tables/small-drivers.md: line " in answer.stdout
+def row(is_signed: bool) -> Callable[[Path], None]:
+    """Changes the speed in the second row of step rows, and perhaps the checksum."""
+
+    def change(folder: Path) -> None:
+        path = shard(folder, "steps")
+        rows, second = pl.read_parquet(path), pl.int_range(pl.len()) == 1
+        speed = pl.when(second).then(40.0).otherwise("speed").alias("speed")
+        rows.with_columns(speed).write_parquet(path)
+        if is_signed:
+            sign(folder / "run", path.stem)
+
+    return change
 
 
-@pytest.mark.parametrize("is_signed", [False, True])
-def test_a_row_changed_is_named(folder: Path, is_signed: bool) -> None:
-    path = shard(folder, "steps")
-    rows = pl.read_parquet(path)
-    second = pl.int_range(pl.len()) == 1
-    rows.with_columns(pl.when(second).then(40.0).otherwise("speed").alias("speed")).write_parquet(
-        path
-    )
-    if is_signed:
-        sign(folder, path)
-    answer = audited(folder)
-    assert answer.returncode == 1
-    place = f"episode {rows['episode'][1]}, step {rows['step'][1]}"
-    what = f"row 2 ({place}): speed is 40.0; simulated again, {rows['speed'][1]}"
-    assert f"steps/{path.name}: {what}" in answer.stdout
-    assert ("does not match its checksum" in answer.stdout) != is_signed
-
-
-def test_rows_and_tables_that_were_both_changed_are_named(folder: Path) -> None:
+def rows_and_tables(folder: Path) -> None:
     path = shard(folder, "episodes")
-    rows = pl.read_parquet(path)
-    rows.with_columns(duration_s=1.0).write_parquet(path)
-    sign(folder, path)
+    pl.read_parquet(path).with_columns(duration_s=1.0).write_parquet(path)
+    sign(folder / "run", path.stem)
     assert charms_bench("rescore", "run", cwd=folder).returncode == 0
-    answer = audited(folder)
-    assert answer.returncode == 1
-    assert (
-        f"episodes/{path.name}: row 1 (episode 0): duration_s is 1.0; simulated again, 2.0"
-        in answer.stdout
-    )
 
 
-def test_a_network_exchanged_is_named(folder: Path) -> None:
+def column(folder: Path) -> None:
+    path = shard(folder, "steps")
+    pl.read_parquet(path).with_columns(note=pl.lit("We win.")).write_parquet(path)
+    sign(folder / "run", path.stem)
+
+
+def other_network(folder: Path) -> None:
     (copy,) = (folder / "run" / "networks").iterdir()
     shutil.copy(folder / "other.onnx", copy)
-    answer = audited(folder)
-    assert answer.returncode == 1
-    found = hashlib.sha256(copy.read_bytes()).hexdigest()
-    what = f"has the hash {found}, not the one in its name, which is policy.onnx"
-    assert f"networks/{copy.name}: {what}" in answer.stdout
 
 
-def test_a_network_exchanged_everywhere_but_in_the_rows_is_named(folder: Path) -> None:
+def other_network_in_the_manifest(folder: Path) -> None:
     (copy,) = (folder / "run" / "networks").iterdir()
     copy.unlink()
     sha256 = hashlib.sha256((folder / "other.onnx").read_bytes()).hexdigest()
@@ -262,29 +203,144 @@ def test_a_network_exchanged_everywhere_but_in_the_rows_is_named(folder: Path) -
     change_manifest(
         folder, lambda each: each["agents"]["policy.onnx"].update(weights_sha256=sha256)
     )
-    answer = audited(folder)
-    assert answer.returncode == 1
-    key = "has a key of other software, agents or settings than the manifest says"
-    assert f"checksums/{shard(folder, 'steps', 1).stem}.sha256: {key}" in answer.stdout
 
 
-def test_a_shard_that_the_suite_does_not_have_is_named_and_not_read(folder: Path) -> None:
-    run, name = folder / "run", f"000-000000160-{'0' * 16}"
-    for kind in ("steps", "counts", "drivers", "episodes"):
-        rows = pl.read_parquet(shard(folder, kind))
-        rows.head(0 if kind == "episodes" else 20).write_parquet(run / kind / f"{name}.parquet")
-    lines = [
-        f"{hashlib.sha256((run / kind / f'{name}.parquet').read_bytes()).hexdigest()}  "
-        f"{kind}/{name}.parquet\n"
-        for kind in ("steps", "counts", "drivers", "episodes")
-    ]
-    (run / "checksums" / f"{name}.sha256").write_text("".join(lines))
+def missing_checksums(folder: Path) -> None:
+    (folder / "run" / "checksums" / f"{shard(folder, 'counts').stem}.sha256").unlink()
+
+
+def twice(folder: Path) -> None:
+    """Adds a copy of a shard with another key."""
+    name = shard(folder, "steps").stem
+    shutil.copytree(folder / "run", folder / "copy")
+    rename_shard(folder, name, f"{name[:-16]}{'0' * 16}")
+    shutil.copytree(folder / "copy", folder / "run", dirs_exist_ok=True)
+
+
+def other_keys(folder: Path) -> None:
+    """Gives every shard a key as of other software."""
+    for path in sorted((folder / "run" / "checksums").iterdir()):
+        rename_shard(folder, path.stem, f"{path.stem.rpartition('-')[0]}-{'0' * 16}")
+
+
+def another_commit(folder: Path) -> None:
+    other_keys(folder)
+    modules = module_blobs() | {"charms_bench.plugins.traffic": "0" * 40}
+    manifest(modules=modules, commit="1234abcd")(folder)
+
+
+def other_libraries_and_agents(folder: Path) -> None:
+    other_keys(folder)
+    agents = json.loads((folder / "run" / "manifest.json").read_text())["agents"]
+    agents["idm_mobil"]["code_sha256"] = "0" * 64
+    manifest(versions=library_versions() | {"numpy": "1.0"}, agents=agents)(folder)
+
+
+def other_code(folder: Path) -> None:
+    """Changes a digit, and the manifest so that other code may have written it."""
+    change_digit(folder)
+    modules = module_blobs() | {"charms_bench.report.markdown": "0" * 40}
+    manifest(modules=modules, commit="1234abcd")(folder)
+
+
+def other_metrics(folder: Path) -> None:
+    tables = folder / "run" / "tables"
+    (tables / "small.csv").write_text((tables / "small.csv").read_text().replace("paper-2", "x"))
+    (tables / "small-drivers.csv").write_text("We win.")
+
+
+EDITS: dict[str, tuple[Callable[[Path], object], int, Sequence[str]]] = {
+    "a digit of a table": (
+        change_digit, 1, ["fail     tables    tables/small.csv: IDM, idm_mobil, paper-2, dhw_mean:"]
+    ),
+    "a digit of a page": (page("small-drivers.md"), 1, ["tables/small-drivers.md: line "]),
+    "a digit that other code may have written": (
+        other_code, 3, ["unknown  tables    tables/small.csv: IDM, idm_mobil, paper-2, dhw_mean:"]
+    ),
+    "other metrics, which leave the other tables checked": (
+        other_metrics,
+        1,
+        ["metric_set is x; computed again, paper-2", "small-drivers.csv: line 1 is 'We win.'"],
+    ),
+    "a row": (
+        row(is_signed=False), 1, ["speed is 40.0; simulated again", "not match its checksum"]
+    ),
+    "a row with its checksum": (row(is_signed=True), 1, ["row 2 (episode 0, step 2): speed is 40"]),
+    "rows and tables": (
+        rows_and_tables, 1, ["row 1 (episode 0): duration_s is 1.0; simulated again, 2.0"]
+    ),
+    "a column that no run writes": (
+        column, 1, ["the rows are the same, but the file has other bytes"]
+    ),
+    "a network": (other_network, 1, ["not the one in its name, which is policy.onnx"]),
+    "a network, everywhere but in the rows": (
+        other_network_in_the_manifest, 1, ["has a key of other software, agents or settings"]
+    ),
+    "a missing shard": (
+        missing_checksums,
+        1,
+        [
+            "is not of a finished shard",
+            "the rows of IDM in idm_mobil, episodes 0 to 149 are missing",
+        ],
+    ),
+    "a shard twice": (twice, 1, [f"has the episodes of 000-000000000-{'0' * 16}\n"]),
+    "a table of something else": (
+        add("tables/best.md"), 1, ["tables/best.md: is not a table of this suite"]
+    ),
+    "a file in tables": (add("tables/more/x.md"), 1, ["fail     files     tables/more/x.md: is"]),
+    "a file in networks": (add("networks/x.onnx"), 1, ["fail     files     networks/x.onnx: is"]),
+    "a file in steps": (add("steps/x.txt"), 1, ["fail     files     steps/x.txt: is not of a"]),
+    "a file of nothing": (add("notes.txt"), 3, ["unknown  files     notes.txt: is not a file of"]),
+    "what readers made": (add("replays/x.gif"), 0, ["everything that was checked passes"]),
+    "a link to a table": (link("tables/small.csv"), 1, ["tables/small.csv: is a link, not a file"]),
+    "a link to rows": (link("steps"), 1, ["steps: is a link, not a file"]),
+    "a link to the manifest": (link("manifest.json"), 1, ["manifest.json: is a link, not a file"]),
+    "the hash of the suite": (manifest(suite_sha256="0" * 64), 1, ["suite_sha256: is '000"]),
+    "the version of a metric set": (
+        manifest(metric_sets={"paper": 9}), 1, ["metric_sets.paper: is 9; the code of the run"]
+    ),
+    "no code": (manifest(modules={}), 3, ["the manifest does not name the code of the run"]),
+    "another commit": (
+        another_commit,
+        3,
+        [
+            "modules: charms_bench.plugins.traffic is not the code of the run, which was charms-",
+            f"bench {harness.__version__}; to check its rows, install commit 1234abcd",
+            "none can be simulated again",
+        ],
+    ),
+    "other libraries and agents": (
+        other_libraries_and_agents,
+        3,
+        [
+            f"libraries: numpy is {np.__version__}, expected 1.0; install these",
+            "idm_mobil: is not the agent of the run: code_sha256 is ",
+            "none can be simulated again",
+        ],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("title", EDITS)
+def test_what_was_changed_is_named(title: str, folder: Path) -> None:
+    edit, code, said = EDITS[title]
+    edit(folder)
     answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert f"checksums/{name}.sha256: is not of a shard of the suite" in answer.stdout
-    read = charms_bench("rescore", "run", cwd=folder)
-    assert read.returncode == 2
-    assert f"{name}.sha256: is not of a shard of the suite in manifest.json" in read.stderr
+    assert answer.returncode == code, answer
+    assert [each for each in said if each not in answer.stdout] == []
+    assert code == 1 or "fail " not in answer.stdout
+
+
+def test_the_digit_that_was_changed_is_named(folder: Path) -> None:
+    expected = change_digit(folder)
+    assert expected in audited(folder).stdout
+
+
+def test_a_table_of_other_thresholds_is_true(folder: Path) -> None:
+    words = ("rescore", "run", "--set", "standard:ttc_s=2")
+    assert charms_bench(*words, cwd=folder).returncode == 0
+    assert audited(folder).returncode == 0
 
 
 def swap_shards(folder: Path, one: Path, other: Path) -> None:
@@ -294,199 +350,32 @@ def swap_shards(folder: Path, one: Path, other: Path) -> None:
         contents = [file.read_bytes() for file in files]
         for file, content in zip(files, reversed(contents), strict=True):
             file.write_bytes(content)
-            sign(folder, file)
+    for path in (one, other):
+        sign(folder / "run", path.stem)
 
 
-def test_two_shards_that_were_swapped_are_named_without_a_simulation(folder: Path) -> None:
-    first, second = sorted((folder / "run" / "steps").glob("000-*"))
-    swap_shards(folder, first, second)
-    findings = audit_of(folder, shards=1, workers=1).findings
-    found = {each.where: each.what for each in findings if each.check == "files"}
-    expected = "an episode is not one of 0 to 149; run the suite again"
-    assert found[f"episodes/{first.name}"] == expected
-    read = charms_bench("edge-cases", "run", cwd=folder)
-    assert read.returncode == 2
-    assert f"{first.name}: {expected}" in read.stderr
-
-
-def test_the_shards_of_two_egos_that_were_swapped_are_named(folder: Path) -> None:
-    one, other = shard(folder, "steps", 0), shard(folder, "steps", 1)
-    swap_shards(folder, one, other)
-    findings = audit_of(folder, shards=1, workers=1).findings
-    found = {each.where: each.what for each in findings if each.check == "files"}
-    (network,) = (folder / "run" / "networks").iterdir()
-    where = f"checksums/{one.stem}.sha256"
-    assert found[where] == f"the ego is {network.name}, expected idm_mobil"
-
-
-def test_rows_of_two_egos_that_were_swapped_are_not_scored(folder: Path) -> None:
-    swap_shards(folder, shard(folder, "steps", 0), shard(folder, "steps", 1))
-    answer = charms_bench("rescore", "run", cwd=folder)
-    assert answer.returncode == 2
-    assert "the ego is " in answer.stderr
-
-
-def test_a_run_continues_by_simulating_a_swapped_shard_again(folder: Path) -> None:
+@pytest.mark.parametrize("of", ["episodes", "egos"])
+def test_swapped_shards_are_named_without_a_simulation_and_undone_by_a_run(
+    of: str, folder: Path
+) -> None:
     before = contents(folder / "run")
     first, second = sorted((folder / "run" / "steps").glob("000-*"))
-    swap_shards(folder, first, second)
+    other = second if of == "episodes" else shard(folder, "steps", 1)
+    swap_shards(folder, first, other)
+    findings = audit_of(folder, shards=1, workers=1).findings
+    found = {each.where: each.what for each in findings if each.check == "files"}
+    if of == "episodes":
+        where, what = f"episodes/{first.name}", "an episode is not one of 0 to 149"
+    else:
+        (network,) = (folder / "run" / "networks").iterdir()
+        where, what = f"checksums/{first.stem}.sha256", f"the ego is {network.name}, expected idm"
+    assert what in found[where]
+    for command in ("edge-cases", "rescore"):
+        read = charms_bench(command, "run", cwd=folder)
+        assert (read.returncode, what.partition(",")[0] in read.stderr) == (2, True), read
     made = charms_bench("run", "suite.yaml", "--workers", 1, "--output", "run", cwd=folder)
     assert made.returncode == 0, made.stderr
     assert contents(folder / "run") == before
-
-
-def test_two_shards_of_the_same_episodes_are_named(folder: Path) -> None:
-    name = shard(folder, "steps").stem
-    shutil.copytree(folder / "run", folder / "copy")
-    rename_shard(folder, name, f"{name[:-16]}{'0' * 16}")
-    shutil.copytree(folder / "copy", folder / "run", dirs_exist_ok=True)
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert f"checksums/{name}.sha256: has the episodes of {name[:-16]}0000" in answer.stdout
-    assert "run the suite again, which deletes" in charms_bench("rescore", "run", cwd=folder).stderr
-
-
-def test_a_column_that_no_run_writes_is_named(folder: Path) -> None:
-    path = shard(folder, "steps")
-    pl.read_parquet(path).with_columns(note=pl.lit("We win.")).write_parquet(path)
-    sign(folder, path)
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert f"steps/{path.name}: the rows are the same, but the file has other bytes" in (
-        answer.stdout
-    )
-
-
-def test_a_file_of_nothing_is_named_and_what_readers_made_is_not(folder: Path) -> None:
-    for name in ("replays/x.gif", "notes.txt"):
-        (folder / "run" / name).parent.mkdir(exist_ok=True)
-        (folder / "run" / name).write_text("x")
-    answer = audited(folder)
-    assert answer.returncode == 3, answer
-    assert "unknown  files     notes.txt: is not a file of a run" in answer.stdout
-    assert "x.gif" not in answer.stdout
-
-
-@pytest.mark.parametrize(
-    "name", ["steps/000-000000000-0000000000000000.txt", "networks/x.onnx", "tables/more/x.md"]
-)
-def test_a_file_beside_those_of_the_run_is_named(folder: Path, name: str) -> None:
-    (folder / "run" / name).parent.mkdir(exist_ok=True)
-    (folder / "run" / name).write_text("x")
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert f"fail     files     {name}: is not " in answer.stdout
-
-
-@pytest.mark.parametrize("name", ["tables/small.csv", "steps", "manifest.json"])
-def test_a_link_is_named(folder: Path, name: str) -> None:
-    path = folder / "run" / name
-    path.rename(folder / path.name)
-    path.symlink_to(folder / path.name)
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert f"{name}: is a link, not a file" in answer.stdout
-
-
-def test_a_hash_of_another_suite_is_false_whatever_code_the_manifest_names(folder: Path) -> None:
-    change_manifest(folder, lambda manifest: manifest.update(suite_sha256="0" * 64, modules={}))
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert "suite_sha256: is not the hash of the suite in manifest.json" in answer.stdout
-
-
-def test_a_field_that_the_code_of_the_run_does_not_write_is_named(folder: Path) -> None:
-    change_manifest(folder, lambda manifest: manifest["metric_sets"].update(paper=9))
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert "metric_sets.paper: is 9; the code of the run writes 2" in answer.stdout
-
-
-def test_a_manifest_that_contradicts_the_keys_of_its_shards_is_false(folder: Path) -> None:
-    def change(manifest: dict[str, Any]) -> None:
-        manifest["commit"] = ""
-        manifest["modules"]["charms_bench.world.road"] = "0" * 40
-        manifest["versions"]["numpy"] = "1.0"
-        manifest["agents"]["idm_mobil"]["code_sha256"] = "0" * 64
-
-    change_manifest(folder, change)
-    answer = audited(folder)
-    assert answer.returncode == 1, answer
-    assert "charms_bench.world.road is other code in the manifest, but shards have" in (
-        answer.stdout
-    )
-    assert f"libraries: numpy is {np.__version__}, expected 1.0; but shards have" in answer.stdout
-    assert "in the manifest, but shards have the key of the installed agent" in answer.stdout
-
-
-def test_a_shard_that_is_missing_and_a_file_of_none_are_named(folder: Path) -> None:
-    path = shard(folder, "counts")
-    (folder / "run" / "checksums" / f"{path.stem}.sha256").unlink()
-    answer = audited(folder)
-    assert answer.returncode == 1
-    assert f"counts/{path.name}: is not of a finished shard" in answer.stdout
-    assert "the rows of IDM in idm_mobil, episodes 0 to 149 are missing" in answer.stdout
-
-
-def test_a_table_of_something_else_is_named(folder: Path) -> None:
-    (folder / "run" / "tables" / "best.md").write_text("We win.")
-    answer = audited(folder)
-    assert answer.returncode == 1
-    assert "tables/best.md: is not a table of this suite" in answer.stdout
-
-
-def test_a_table_of_other_thresholds_is_true(folder: Path) -> None:
-    words = ("rescore", "run", "--set", "standard:ttc_s=2")
-    assert charms_bench(*words, cwd=folder).returncode == 0
-    assert audited(folder).returncode == 0
-
-
-def test_other_libraries_and_other_agents_are_named_and_nothing_is_called_false(
-    folder: Path,
-) -> None:
-    def change(manifest: dict[str, Any]) -> None:
-        manifest["versions"]["numpy"] = "1.0"
-        manifest["agents"]["idm_mobil"]["code_sha256"] = "0" * 64
-
-    change_keys(folder)
-    change_manifest(folder, change)
-    answer = audited(folder)
-    assert answer.returncode == 3, answer
-    assert f"libraries: numpy is {np.__version__}, expected 1.0; install these" in answer.stdout
-    assert "idm_mobil: is not the agent of the run: code_sha256 is " in answer.stdout
-    assert "fail" not in answer.stdout.replace("nothing fails", "")
-
-
-def test_a_run_of_another_commit_is_named(whole: Path, tmp_path: Path) -> None:
-    shutil.copytree(SOURCES / "charms_bench", tmp_path / "charms_bench")
-    module = tmp_path / "charms_bench" / "plugins" / "traffic.py"
-    module.write_text(module.read_text() + "\n# Another commit.\n")
-    (tmp_path / "suite.yaml").write_text(RARE)
-    path = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
-    code = "from charms_bench.cli import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "run", "suite.yaml", "--output", "run", "--workers", "1"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    change_manifest(tmp_path, lambda manifest: manifest.update(commit="1234abcd"))
-    answer = audited(tmp_path)
-    assert answer.returncode == 3
-    what = "charms_bench.plugins.traffic is not the code of the run, which was charms-bench"
-    assert f"modules: {what} {harness.__version__}" in answer.stdout
-    assert "install commit 1234abcd" in answer.stdout
-    assert "none can be simulated again" in answer.stdout
-
-
-def test_an_old_manifest_that_names_no_code_is_not_called_true(folder: Path) -> None:
-    change_manifest(folder, lambda manifest: manifest.pop("modules"))
-    answer = audited(folder)
-    assert answer.returncode == 3
-    assert "the manifest does not name the code of the run" in answer.stdout
 
 
 def test_the_hash_of_a_module_is_that_of_git(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Runs on a cluster, started as in docs/running.md: they write the bytes of a local run."""
 
-import hashlib
 import os
 import re
 import signal
@@ -19,6 +18,7 @@ pytest.importorskip("dask", reason="needs the extra 'cluster'")
 
 from command_line import charms_bench
 from dask_cluster import PATIENCE_S, DaskCluster, wait_until
+from run_folders import files
 
 from charms_bench.errors import ClusterError, InputError
 from charms_bench.runs.cluster import on_cluster
@@ -106,14 +106,6 @@ def finished(run: subprocess.Popen[str]) -> tuple[int, str]:
     """Returns its exit code and its messages without progress."""
     _, said = run.communicate(timeout=PATIENCE_S)
     return run.returncode, re.sub(r"[\d,]+ of [\d,]+ episodes\n", "", said)
-
-
-def files(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 def landed(output: Path) -> int:

@@ -1,6 +1,5 @@
 """Runs: the same rows whatever the workers, the order or the interruptions."""
 
-import hashlib
 import json
 import shutil
 from collections import Counter
@@ -10,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from run_folders import files, sign
 
-from charms_bench.errors import AgentError, CharmsBenchError, RunFolderError, SuiteError
+from charms_bench.errors import AgentError, CharmsBenchError, RunFolderError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs import finished_run, runner, shards
@@ -40,14 +40,6 @@ def suite(**changes: object) -> Suite:
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setitem(shards.SHARD_EPISODES, "batched", 10)
     return
-
-
-def files(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -175,13 +167,6 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"suite": '])
-def test_a_damaged_manifest_is_said_to_be_damaged(tmp_path: Path, content: str) -> None:
-    (tmp_path / "manifest.json").write_text(content)
-    with pytest.raises(RunFolderError, match=r"manifest\.json: (is not JSON|expected a JSON)"):
-        run(suite(), tmp_path, workers=1)
-
-
 @pytest.mark.parametrize(
     ("change", "found"), [({}, "has no format"), ({"format": 2}, "has format 2")]
 )
@@ -239,33 +224,12 @@ def test_rows_of_other_episodes_are_neither_written_nor_read(tmp_path: Path) -> 
     said = "an episode is not one of 10 to 19; run the suite again"
     with pytest.raises(RunFolderError, match=said):
         folder.write(second, wrong)
-    names = [f"{kind}/{second.name}.parquet" for kind in KINDS]
-    for name, data in zip(names, wrong.values(), strict=True):
-        (tmp_path / name).write_bytes(data)
-    lines = [
-        f"{hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()}  {name}\n" for name in names
-    ]
-    (tmp_path / "checksums" / f"{second.name}.sha256").write_text("".join(lines))
+    for kind, data in wrong.items():
+        (tmp_path / kind / f"{second.name}.parquet").write_bytes(data)
+    sign(tmp_path, second.name)
     assert not folder.is_whole(second)
     with pytest.raises(RunFolderError, match=said):
         folder.read("steps", [second])
-
-
-def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
-    finished = run(suite(episodes=2), tmp_path, workers=1)
-    path = min((tmp_path / "steps").iterdir())  # of the first cell, by its name
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(RunFolderError, match=rf"{path.name}: does not match.*sha256; run the"):
-        _ = finished.cells()[0].steps
-    path.unlink()
-    with pytest.raises(RunFolderError, match=rf"{path.name}: cannot be read: No such file"):
-        _ = finished.cells()[0].steps
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(RunFolderError, match=r"file/run.*: cannot be written"):
-        run(suite(), tmp_path / "file" / "run", workers=1)
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -305,13 +269,6 @@ def test_a_planner_that_cannot_drive_on_a_road_leaves_the_other_cells() -> None:
     failed: dict[int, CharmsBenchError] = {}
     assert {shard.cell for shard in plan(made, "batched", failed)} == {1}
     assert "plans on copies of a straight road" in str(failed[0])
-
-
-def test_evaluation_seeds_stay_below_those_of_trainings() -> None:
-    with pytest.raises(
-        SuiteError, match="expected seeds below 1000000000, where the seeds of trainings"
-    ):
-        plan(suite(seed=999_999_990), "batched")
 
 
 def test_a_shards_key_follows_the_agents_options_and_the_scene() -> None:

@@ -1,7 +1,6 @@
 """Runs that are killed, damaged, locked or out of space: a message, and the command continues."""
 
 import errno
-import hashlib
 import os
 import random
 import shutil
@@ -16,6 +15,7 @@ from pathlib import Path
 import pytest
 import yaml
 from plugin_folder import installed
+from run_folders import files
 
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import write_bytes
@@ -86,14 +86,6 @@ def finished_shards(folder: Path) -> int:
 def wait_for_shards(running: subprocess.Popen[str], folder: Path, count: int) -> None:
     while finished_shards(folder) < count and running.poll() is None:
         time.sleep(0.005)
-
-
-def files(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 @pytest.fixture

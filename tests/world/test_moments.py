@@ -1,9 +1,7 @@
 """Moments of recordings: which there are, how recordings are split, and what is refused."""
 
 import csv
-import os
 import re
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -42,31 +40,6 @@ def test_the_recordings_decide_lanes_widths_and_places(tmp_path: Path) -> None:
     made = scene(tmp_path)
     assert (made.lanes, made.profile.lane_width_m, made.vehicles) == (3, 3.7, 2)
     assert made.profile.name == "charms"
-
-
-def _sparse(path: Path) -> None:
-    with path.open("wb") as file:
-        file.truncate(2**31)
-
-
-@pytest.mark.parametrize("name", ["01_tracks", "01_tracksMeta", "01_recordingMeta"])
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (os.mkfifo, "is a pipe or a device"),
-        (lambda path: path.symlink_to("/dev/zero"), "is a pipe or a device"),
-        (_sparse, "larger than 1,073,741,824 bytes"),
-        (os.mkdir, "is a folder"),
-    ],
-)
-def test_what_is_not_a_file_of_limited_size_is_not_read(
-    make: Callable[[Path], object], message: str, name: str, tmp_path: Path
-) -> None:
-    write_trio(tmp_path, driven(Row(), 51))
-    (tmp_path / f"{name}.csv").unlink()
-    make(tmp_path / f"{name}.csv")
-    with pytest.raises(ValidationError, match=message):
-        scene(tmp_path)
 
 
 def test_a_moment_is_followed_by_an_episode_of_its_vehicle(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
     for stage in stages.values() if steps is not None and isinstance(stages, dict) else ():
         if isinstance(stage, dict):  # anything else is refused below
             stage["steps"] = steps
-    suite = document.validate(TrainingSuite)
+    suite, placed = document.validate(TrainingSuite), set[tuple[str, str]]()
     for name, stage in suite.stages.items():
         at = ("stages", name)
         if stage.variant is not None:
@@ -55,7 +55,7 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
             where = (*at, "reward", "desired_speed_mps")
             raise document.error(where, f"{what}, the lowest target speed of the profile")
         _check_name(document, (*at, "weights"), "weights", stage.weights, suite.weights)
-        _check_conditions(document, suite, name)
+        _check_conditions(document, suite, name, placed)
         try:
             for driver in suite.drivers_of(stage):
                 if is_network(driver):
@@ -93,8 +93,13 @@ def _check_name(
         raise document.error(at, f"no {kind} named '{name}'{under}; {there}")
 
 
-def _check_conditions(document: Document, suite: TrainingSuite, name: str) -> None:
-    """Refuses other steps of the target speed, and scenarios that cannot be placed."""
+def _check_conditions(
+    document: Document, suite: TrainingSuite, name: str, placed: set[tuple[str, str]]
+) -> None:
+    """Refuses other steps of the target speed, and scenarios that cannot be placed.
+
+    `placed` has the scenarios and scenes of earlier stages, which are not placed again.
+    """
     stage = suite.stages[name]
     named: list[tuple[Location, Condition]] = [
         (("conditions", each, index), condition)
@@ -108,7 +113,11 @@ def _check_conditions(document: Document, suite: TrainingSuite, name: str) -> No
             what = f"{[*steps]}; expected those of the stage '{name}', {[*expected]}"
             where = (*at, "profile")
             raise document.error(where, f"target_speed_steps_mps: found {what}")
-        if traffic.scenario is not None:
+        if traffic.scenario is None:
+            continue
+        key = traffic.scenario.model_dump_json(), scene.model_dump_json()
+        if key not in placed:
+            placed.add(key)
             first = suite.first_episode_seed
             numbers = np.arange(first, first + PLACED)
             check_placement(
