@@ -47,7 +47,8 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
     leaves the road, and is truncated when its time is over.
 
     Args:
-        traffic: Assigns a driver to each of the other vehicles.
+        traffic: Assigns a driver to each of the other vehicles; by default `idm_mobil`, and on a
+            road of highway-env the vehicles that it has itself.
         reward: The reward of a decision; by default highway-env's, see `HighwayReward`, and for
             continuous actions the progress along the road, see `ProgressReward`.
         observation: The ego's observation; see `charms_bench.world.observations`.
@@ -71,7 +72,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
 
     def __init__(
         self,
-        traffic: TrafficLike = "idm_mobil",
+        traffic: TrafficLike | None = None,
         reward: Reward[Any] | None = None,
         observation: ObservationLike = "neighbours",
         actions: GivenLike = "meta",
@@ -189,7 +190,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
 
 def ego_vector_env(
     num_envs: int,
-    traffic: TrafficLike = "idm_mobil",
+    traffic: TrafficLike | None = None,
     reward: Reward[Any] | None = None,
     observation: ObservationLike = "neighbours",
     actions: GivenLike = "meta",
@@ -225,7 +226,7 @@ def reward_of(actions: GivenLike, settings: SceneSettings) -> Reward[Any]:
 
 
 def surroundings(
-    traffic: TrafficLike, scene: dict[str, Any], environment: str
+    traffic: TrafficLike | None, scene: dict[str, Any], environment: str
 ) -> tuple[SceneSettings, Traffic, dict[str, Agent]]:
     """The settings with the keys of a suite's `scene`, a traffic, and its agents by name.
 
@@ -236,6 +237,8 @@ def surroundings(
     keys = {**scene.pop("scene", {}), **scene}
     plain = {k: each.item() if isinstance(each, np.generic) else each for k, each in keys.items()}
     road = plain.pop("road", None)
+    if traffic is None:
+        traffic = "idm_mobil" if road is None else ENVIRONMENT
     if isinstance(traffic, Mapping) and "road" in traffic:
         instead = f"scene={{'road': {traffic['road']!r}}}, "
         instead += f"traffic={traffic.get('drivers', ENVIRONMENT)!r}"

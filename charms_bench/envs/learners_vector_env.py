@@ -26,7 +26,7 @@ class LearnersVectorEnv(ScenesVectorEnv):
         scenes: B.
         learners: The L vehicles that the caller drives. Vehicle 0, the ego, must be one of them;
             vehicle k is the k-th of the others in the order of spawning. None means all vehicles.
-        traffic: Assigns a driver to each of the other vehicles.
+        traffic: Assigns a driver to each of the other vehicles; see `EgoEnv`.
         reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
         observation: The learners' observation; see `charms_bench.world.observations`.
         actions: The learners' meta-actions; see `EgoEnv`.
@@ -46,7 +46,7 @@ class LearnersVectorEnv(ScenesVectorEnv):
         self,
         scenes: int,
         learners: Iterable[int] | None = None,
-        traffic: TrafficLike = "idm_mobil",
+        traffic: TrafficLike | None = None,
         reward: VehicleReward = highway_rewards,
         observation: ObservationLike = "neighbours",
         render_mode: str | None = None,

@@ -111,7 +111,7 @@ class HighwayParallelEnv(NamedAgents):
     def __init__(
         self,
         learners: Iterable[int] | None = None,
-        traffic: TrafficLike = "idm_mobil",
+        traffic: TrafficLike | None = None,
         reward: VehicleReward = highway_rewards,
         observation: ObservationLike = "neighbours",
         render_mode: str | None = None,

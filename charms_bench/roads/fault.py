@@ -11,22 +11,23 @@ so the rule first asks who had the right of way. It follows the Vienna Conventio
 3. **Right of way**: a lane of a ramp or of the entry of a roundabout yields to the main lanes, and
    in an intersection, a lane yields to those with a higher priority (Article 18). It counts for
    `YIELDING_S` after a vehicle has left the lane. The vehicle that should have yielded is at fault,
-   unless the other one strikes it and could have braked: from where it came into the way of the
-   other, this required at most 3.35 m/s2 (Archer 2005).
+   unless the other one strikes it and could have braked: from 0.75 s after it came into the way
+   of the other, this required at most 3.35 m/s2 (UN R157; Archer 2005).
 4. **Rear end** (the angle is below 26 degrees, or one of the two stands): the striking vehicle,
-   which has to keep its distance (Article 13). But if the struck vehicle came into its way within
-   the last `RECENT_S`, and that required more than 3.35 m/s2, it is the struck vehicle (Article
-   14).
+   which has to keep its distance (Article 13). But if the struck vehicle moved across lanes into
+   its way within the last `RECENT_S`, and braking from 0.75 s later on required more than 3.35
+   m/s2, it is the struck vehicle (Article 14).
 5. **Crossing**, above 60 degrees, where neither lane has the right of way: the vehicle that has the
    other one on its right yields, as in 3.
-6. **Side by side**: the vehicle that began last to move out of its lane and has not returned to
-   its middle, or both if they began in the same simulation step.
+6. **Side by side**: the vehicle that began last to move out of its lane towards the other one and
+   has not returned to its middle, or both if they began in the same simulation step.
 
 What this does not decide is undecided, such as a vehicle that meets another one beside the lanes of
 both.
 """
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +44,8 @@ from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
 RECENT_S = 2.0
 """So long after a vehicle has come into the way of another one, that is why they collide."""
+REACTION_S = 0.75
+"""That of the careful and competent driver of UN Regulation 157."""
 YIELDING_S = 1.0
 """So long after a vehicle has left a lane, it is bound by what the lane yields to."""
 STANDING_MPS, BACKWARDS_MPS = 0.5, -0.5
@@ -56,7 +59,11 @@ LANE_KEEPING_M, DRIFT_MPS = 0.25, 0.1
 NO_RANK = -1
 """Of a lane that says nothing about the right of way."""
 MOMENT = np.dtype(
-    [(name, np.float64) for name in ("x", "y", "heading", "speed")] + [("lane", np.int64)]
+    [
+        *((name, np.float64) for name in ("x", "y", "heading", "speed")),
+        ("lane", np.int64),
+        ("is_pushed", np.bool_),
+    ]
 )
 
 
@@ -64,7 +71,7 @@ class Track(NamedTuple):
     """What a vehicle did in T simulation steps, the last of which is that before a collision."""
 
     moments: NDArray[np.void]
-    """(T,) rows of `MOMENT`; m, rad, m/s, and the nearest lane."""
+    """(T,) rows of `MOMENT`; m, rad, m/s, the nearest lane, and whether an impact pushes it."""
     length: float
     width: float
 
@@ -98,7 +105,7 @@ class Fault:
         """Vehicles that have just come to their places have done nothing before."""
         rows, places = vehicles
         self._wrecked[vehicles] = 0
-        for name in MOMENT.names or ():
+        for name in ("x", "y", "heading", "speed", "lane"):
             self._moments[name][:, rows, places] = scenes.vehicles[name][vehicles]
 
     def note(self, scenes: Scenes, rows: Ints) -> None:
@@ -121,8 +128,12 @@ class Fault:
 
     def _track(self, scenes: Scenes, b: int, i: int) -> Track:
         kept, noted = len(self._moments), int(self._noted[b])
-        # In the step of the collision, its impact has already moved the vehicles.
-        steps = np.arange(max(noted - kept, 0), max(noted - 1, 1)) % kept
+        steps = np.arange(max(noted - kept, 0), noted) % kept
+        # highway-env pushes vehicles apart before it calls them crashed.
+        pushed, last = self._moments["is_pushed"][steps, b, 0], steps.size - 1
+        while last > 0 and pushed[last - 1]:
+            last -= 1
+        steps = steps[: last + 1]
         vehicle = scenes.vehicles[b, i]
         size = float(vehicle["length"]), float(vehicle["width"])
         return Track(self._moments[steps, b, i], *size)
@@ -139,6 +150,7 @@ def _note(
             vehicle, moment = scenes.vehicles[b, i], moments[k, b, i]
             moment.x, moment.y, moment.heading = vehicle.x, vehicle.y, vehicle.heading
             moment.speed, moment.lane = vehicle.speed, vehicle.lane
+            moment.is_pushed = vehicle.has_impact
             wrecked[b, i] += vehicle.crashed
 
 
@@ -186,24 +198,38 @@ def at_fault(
     rank, other_rank = (_rank(ranks, each, yielding) for each in (one, other))
     has_ranks = NO_RANK not in (rank, other_rank)
     if has_ranks and rank != other_rank:
-        return _of_intruder(rank < other_rank, one, other, None)
+        return _of_intruder(rank < other_rank, one, other)
     stands, other_stands = (
         bool(each.moments["speed"][-1] <= STANDING_MPS) for each in (one, other)
     )
     if stands != other_stands:
-        return _of_intruder(stands, one, other, recent)
+        return _of_struck(road, stands, one, other, recent)
     if cosine >= REAR_END_COS and (ahead := _ahead(one, other)) is not None:
-        return _of_intruder(ahead is one, one, other, recent)
+        return _of_struck(road, ahead is one, one, other, recent)
     if has_ranks and abs(cosine) < SIDE_COS:
         # The y-axis points to the right of the x-axis, so the other one comes from the right.
-        return _of_intruder(math.sin(apart) < 0, one, other, None)
-    began, other_began = _moved_out(road, one), _moved_out(road, other)
+        return _of_intruder(math.sin(apart) < 0, one, other)
+    began, other_began = _moved_out(road, one, other), _moved_out(road, other, one)
     if cosine <= -SIDE_COS or began == other_began == -1:
         return None
     return began >= other_began, other_began >= began
 
 
-def _of_intruder(is_first: bool, one: Track, other: Track, most: int | None) -> tuple[bool, bool]:
+def _of_struck(
+    road: Network, is_first: bool, one: Track, other: Track, recent: int
+) -> tuple[bool, bool]:
+    """Who is at fault if the first of two vehicles is struck by the other one, or else strikes it.
+
+    The struck one can only be if it has moved across lanes within so many steps.
+    """
+    if _moved_aside(road, one if is_first else other, recent):
+        return _of_intruder(is_first, one, other, recent)
+    return not is_first, is_first
+
+
+def _of_intruder(
+    is_first: bool, one: Track, other: Track, most: int | None = None
+) -> tuple[bool, bool]:
     """Who is at fault if the first of two vehicles, or else the other one, should have yielded.
 
     It is, unless the other one strikes it and could have braked since it came into its way. If it
@@ -218,6 +244,7 @@ def _of_intruder(is_first: bool, one: Track, other: Track, most: int | None) -> 
         is_at_fault = came > 0 and (most is None or last - came <= most)
         if is_at_fault and (found := _along(owner, intruder, came)) is not None:
             gap, closing = found
+            gap -= closing * REACTION_S
             is_at_fault = gap <= 0 or bool(requires_braking(gap, closing, DRAC_LIMIT_MPS2))
     return is_at_fault == is_first, is_at_fault != is_first
 
@@ -317,17 +344,34 @@ def _is_on_wrong_side(road: Network, track: Track) -> bool:
     return not mine or (is_shared and all(road.lanes["right"][lane] >= 0 for lane in mine))
 
 
-def _moved_out(road: Network, track: Track) -> int:
-    """The step in which a vehicle last began to move out of its nearest lane.
+def _beside(road: Network, track: Track) -> Iterator[tuple[int, float, float]]:
+    """The nearest lane in each step, how far the vehicle is to the right of it, and its drift.
+
+    In m, and in m/s to the right.
+    """
+    for moment in track.moments:
+        lane = int(moment["lane"])
+        s, r = local_coordinates(road, lane, float(moment["x"]), float(moment["y"]))
+        turn = float(moment["heading"]) - heading_at(road, lane, s)
+        yield lane, float(r), float(moment["speed"]) * math.sin(turn)
+
+
+def _moved_aside(road: Network, track: Track, most: int) -> bool:
+    """Whether a vehicle has moved across its nearest lane within the last `most` steps."""
+    steps = [*_beside(road, track)][-1 - most :]
+    return any(abs(r) > LANE_KEEPING_M and abs(drift) > DRIFT_MPS for _, r, drift in steps)
+
+
+def _moved_out(road: Network, track: Track, other: Track) -> int:
+    """The step in which a vehicle last began to move out of its lane, towards another vehicle.
 
     -1 if it has kept its lane, or has returned to its middle.
     """
+    _, aside = _seen_from(track, other.moments["x"][-1], other.moments["y"][-1])
+    side = math.copysign(1.0, aside)
     began, left, was_moving = -1, -1, False
-    for k, moment in enumerate(track.moments):
-        lane = int(moment["lane"])
-        s, r = local_coordinates(road, lane, float(moment["x"]), float(moment["y"]))
-        drift = moment["speed"] * math.sin(moment["heading"] - heading_at(road, lane, s))
-        is_moving = abs(r) > LANE_KEEPING_M and drift * math.copysign(1.0, r) > DRIFT_MPS
+    for k, (lane, r, drift) in enumerate(_beside(road, track)):
+        is_moving = side * r > LANE_KEEPING_M and side * drift > DRIFT_MPS
         if is_moving and not was_moving:
             began, left = k, lane
         elif lane == left and abs(r) <= LANE_KEEPING_M:

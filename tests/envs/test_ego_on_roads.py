@@ -34,6 +34,9 @@ SCENE: dict[str, Any] = {
 }
 
 
+OF_ROAD: dict[str, Any] = {"traffic": "environment"}
+
+
 def made(road: str = "merge-v1", traffic: str = "human", **arguments: Any) -> EgoEnv:
     env = gymnasium.make(ID, scene={**SCENE, "road": road}, traffic=traffic, **arguments)
     assert isinstance(env.unwrapped, EgoEnv)
@@ -178,6 +181,17 @@ def test_a_learner_that_reaches_the_goal_leaves_the_others_on_the_road() -> None
             break
     assert GOAL in endings[:, 0]
     assert GOAL not in endings[:, 1]
+
+
+def test_the_default_traffic_of_a_road_is_its_own() -> None:
+    own, named = (gymnasium.make(ID, scene={"road": "exit-v1"}, **each) for each in ({}, OF_ROAD))
+    for _ in range(2):
+        seen = [env.reset(seed=4)[0] for env in (own, named)]
+        np.testing.assert_array_equal(*seen)
+        np.testing.assert_array_equal(own.step(IDLE)[0], named.step(IDLE)[0])
+    straight: Any = gymnasium.make(ID).unwrapped
+    straight.reset(seed=4)
+    assert {*straight.simulation.drivers[0, 1:].tolist()} == {"idm_mobil"}
 
 
 def test_a_planner_cannot_be_the_traffic() -> None:
