@@ -10,8 +10,8 @@ from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
 from charms_bench.metrics.metric import Metric, MetricSet, per_episode
 
 REACHED = ENDING == "goal"
-IS_JUDGED = pl.first("traffic_vehicles").is_null()
-"""On the straight road, on which the traffic is counted, the rule always decides."""
+IS_UNDECIDABLE = ENDED_BADLY & pl.first("traffic_vehicles").is_null()
+"""A crash on a road: on the straight one, where the traffic is counted, fault is always decided."""
 
 
 def _of_entry(column: str, name: str, unit: str, description: str, rests_on: str) -> Metric:
@@ -43,10 +43,10 @@ ROADS = MetricSet(
         per_episode(
             "fault_undecided",
             "",
-            AT_FAULT.is_null(),
+            AT_FAULT.is_null() & IS_UNDECIDABLE,
             "proportion of the ego's crashes in which nobody is found to be at fault or not",
             rests_on="crashes",
-            counts=ENDED_BADLY & IS_JUDGED,
+            counts=IS_UNDECIDABLE,
             interval="wilson",
         ),
         _of_entry(

@@ -152,7 +152,7 @@ def original(env: Any) -> Any:
         env = env.venv
     episodes = env.episodes.unwrapped
     learners = episodes._learners
-    return learners.observation(episodes.simulation.scene, learners.vehicles)
+    return learners.observe(learners.vehicles)
 
 
 def test_statistics_that_are_missing_are_named(tmp_path: Path) -> None:

@@ -178,11 +178,11 @@ def test_agents_are_listed_by_distribution_with_what_they_do() -> None:
     assert re.search(r" outside_traffic +Each of the two with the same probability\.", listed)
 
 
-def test_help_lists_every_command_in_one_of_five_groups_on_one_line() -> None:
+def test_help_lists_every_command_in_one_of_six_groups_on_one_line() -> None:
     listed = charms_bench("--help").stdout.partition("-h, --help")[2].partition("  Exit codes")[0]
     known = typer.main.get_command(terminal.app).commands  # type: ignore[attr-defined]  # of a group
     assert sorted(re.findall(r"^  ([a-z-]+) +\S", listed, re.MULTILINE)) == sorted(known)
-    assert len(re.findall(r"^[A-Z].*:$", listed, re.MULTILINE)) == 5
+    assert len(re.findall(r"^[A-Z].*:$", listed, re.MULTILINE)) == 6
     assert "..." not in listed
 
 

@@ -188,14 +188,14 @@ def test_trajectories_are_those_of_all_vehicles_on_the_network(made: Any) -> Non
     assert rows["lane"].is_null().all()
 
 
-def test_nobody_judges_faults_on_roads(made: Any) -> None:
-    crashed = made.episodes.filter(pl.col("ending").is_in(["rear_end", "side"]))
+def test_fault_on_roads_is_in_a_column_of_its_own(made: Any) -> None:
+    crashed = pl.col("ending").is_in(["rear_end", "side", "off_road"])
+    on_road, others = made.episodes.filter(crashed), made.episodes.filter(~crashed)
     assert made.episodes["at_fault"].is_null().all()
-    assert crashed["struck"].null_count() == (crashed["ending"] == "side").sum()
-    frames = [each.frame() for each in made.tables.values() if each.name != "small-roads-drivers"]
-    found = [each.filter(pl.col("metric") == "crashed_at_fault") for each in frames]
-    assert sum(each.height for each in found) > 0
-    assert all(each["value"].is_null().all() for each in found)
+    assert on_road["at_fault_on_road"].null_count() <= 0.05 * on_road.height
+    assert others["at_fault_on_road"].is_null().all()
+    of_sides = on_road["ending"].is_in(["side", "off_road"])
+    assert on_road["struck"].null_count() == of_sides.sum()
     drivers = made.tables["small-roads-drivers"].frame()
     assert "crashed_at_fault" not in drivers["metric"].to_list()
 

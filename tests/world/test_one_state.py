@@ -11,6 +11,7 @@ HELD = {"x", "heading", "speed"}
 REASONS = {
     "world/scene_arrays.py: SceneArrays": "the state of a scene",
     "world/scene.py: _PER_VEHICLE": "the types of its arrays",
+    "roads/fault.py: MOMENT": "what vehicles did before a collision, for which fault is judged",
     "roads/scenes.py: VEHICLE": "the same as a table, whose columns are the arrays of a scene",
     "engine/state.py: SceneState": "a copy of the state that was saved",
     "engine/motion.py: Turning": "the vehicles that turn in a step, side by side",
