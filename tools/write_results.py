@@ -203,6 +203,7 @@ def roads(run: Path) -> str:
     shown = {
         "goal_reached": ("Episodes with the goal reached, %", 100.0),
         "crashed_episodes": ("Crashed episodes, %", 100.0),
+        "crashed_at_fault": ("Crashed at fault, %", 100.0),
         "time_to_goal": ("Time to the goal, s", 1.0),
     }
     for metric, (title, factor) in shown.items():
