@@ -342,7 +342,6 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
         ({"traffic": {"idm_mobil": float("nan")}}, "shares must be non-negative and sum to 1"),
         ({"traffic": {"idm_mobil": None}}, "shares must be non-negative and sum to 1"),
         ({"traffic": ["idm_mobil"]}, "traffic: found list, expected a name, a dictionary or a Tra"),
-        ({"traffic": None}, "traffic: found NoneType, expected a name, a dictionary or a Traffic"),
         ({"scene": {"road": "merge-v9"}}, "no road named 'merge-v9'.*Did you mean 'merge-v"),
         (
             {"scene": {"road": "roundabout-v0"}},
