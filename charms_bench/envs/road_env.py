@@ -47,13 +47,6 @@ class RoadScenes:
     _seen: Any = None
     """The last observations (B, ...); None before the first reset."""
 
-    def _continue(self, state: EpisodesState) -> None:
-        """Continues the episodes of a state."""
-        try:
-            self._seen = self._episodes.restore(state)
-        except InputError as error:
-            raise InputError(f"{self._name}: {error}") from error
-
     def _masks(self) -> Bools:
         """The action masks (B, A) of the first ego, or (B, egos, A) where actions are tuples."""
         episodes, actions = self._episodes, self._meta_actions
@@ -89,7 +82,27 @@ class RoadScenes:
             raise ResetNeeded(f"{what} before the first reset")
 
 
-class RoadEnv(RoadScenes, gymnasium.Env[Any, Any]):
+class _SavedScenes(RoadScenes):
+    """Those whose episodes continue from states."""
+
+    def get_state(self) -> EpisodesState:
+        """The state of every episode, for `set_state`.
+
+        Raises:
+            ResetNeeded: There was no reset yet.
+        """
+        self._check_started("get_state")
+        return self._episodes.state(self._seen)
+
+    def _continue(self, state: EpisodesState) -> None:
+        """Continues the episodes of a state."""
+        try:
+            self._seen = self._episodes.restore(state)
+        except InputError as error:
+            raise InputError(f"{self._name}: {error}") from error
+
+
+class RoadEnv(_SavedScenes, gymnasium.Env[Any, Any]):
     """One episode after another of one of highway-env's environments.
 
     The same seed gives the scene of highway-env, and the same actions the same episode.
@@ -267,15 +280,6 @@ class RoadEnv(RoadScenes, gymnasium.Env[Any, Any]):
         """
         return np.asarray(self._masks()[0])
 
-    def get_state(self) -> EpisodesState:
-        """The state of the episode, for `set_state`.
-
-        Raises:
-            ResetNeeded: There was no reset yet.
-        """
-        self._check_started("get_state")
-        return self._episodes.state(self._seen)
-
     def set_state(self, state: EpisodesState) -> Any:
         """Continues the episode of a state of `get_state`; returns its last observation.
 
@@ -314,7 +318,7 @@ class GoalRoadEnv(RoadEnv):
         return _goal_rewards(self._name, self._episodes, achieved_goal, desired_goal, p)
 
 
-class RoadVectorEnv(RoadScenes, VectorEnv[Any, Any, NDArray[Any]]):
+class RoadVectorEnv(_SavedScenes, VectorEnv[Any, Any, NDArray[Any]]):
     """B environments `RoadEnv` side by side; where an episode ends, the next starts at once.
 
     `autoreset_mode` is another of Gymnasium's `AutoresetMode`, in which it starts in the next step,
@@ -460,15 +464,6 @@ class RoadVectorEnv(RoadScenes, VectorEnv[Any, Any, NDArray[Any]]):
             ResetNeeded: There was no reset yet.
         """
         return self._masks()
-
-    def get_state(self) -> EpisodesState:
-        """The state of every episode, for `set_state`.
-
-        Raises:
-            ResetNeeded: There was no reset yet.
-        """
-        self._check_started("get_state")
-        return self._episodes.state(self._seen)
 
     def set_state(self, state: EpisodesState) -> Any:
         """Continues the episodes of a state of `get_state`; returns their last observations.

@@ -35,11 +35,13 @@ from charms_bench.world.road import (
     width_at,
 )
 from charms_bench.world.scene import Bools, Ints, Scene
-from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
+from charms_bench.world.thresholds import (
+    DRAC_LIMIT_MPS2,
+    DRIFT_MPS,
+    ENTERED_S,
+    LANE_KEEPING_M,
+)
 
-ENTERED_S = 2.0
-LANE_KEEPING_M = 0.25
-DRIFT_MPS = 0.1
 NEVER = -1_000_000
 _STATE = record(i4="moved_out moving_out entered left entrant", b1="on_both is_judged at_fault")
 """What is remembered of a vehicle.

@@ -15,7 +15,7 @@ so the rule first asks who had the right of way. It follows the Vienna Conventio
    of the other, this required at most 3.35 m/s2 (UN R157; Archer 2005).
 4. **Rear end** (the angle is below 26 degrees, or one of the two stands): the striking vehicle,
    which has to keep its distance (Article 13). But if the struck vehicle moved across lanes into
-   its way within the last `RECENT_S`, and braking from 0.75 s later on required more than 3.35
+   its way within the last `ENTERED_S`, and braking from 0.75 s later on required more than 3.35
    m/s2, it is the struck vehicle (Article 14).
 5. **Crossing**, above 60 degrees, where neither lane has the right of way: the vehicle that has the
    other one on its right yields, as in 3.
@@ -40,22 +40,23 @@ from charms_bench.world.gaps import requires_braking
 from charms_bench.world.road import heading_at, is_on_lane, local_coordinates
 from charms_bench.world.road_network import Network
 from charms_bench.world.scene import Vehicles
-from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
+from charms_bench.world.thresholds import (
+    DRAC_LIMIT_MPS2,
+    DRIFT_MPS,
+    ENTERED_S,
+    LANE_KEEPING_M,
+)
 
-RECENT_S = 2.0
-"""So long after a vehicle has come into the way of another one, that is why they collide."""
 REACTION_S = 0.75
 """That of the careful and competent driver of UN Regulation 157."""
 YIELDING_S = 1.0
-"""So long after a vehicle has left a lane, it is bound by what the lane yields to."""
+"""For so long after it has left a lane, a vehicle has to yield as on that lane."""
 STANDING_MPS, BACKWARDS_MPS = 0.5, -0.5
-"""A vehicle that is not faster stands, and one that is not faster than this drives backwards."""
+"""A vehicle stands up to the first speed, and drives backwards up to the second one."""
 KEPT_S = 5.0
-"""So much of what vehicles did is looked at."""
+"""The longest past that decides about fault."""
 REAR_END_COS, SIDE_COS = 0.9, 0.5
 """The least cosines of the angle between vehicles; see `engine.collision_kinds`."""
-LANE_KEEPING_M, DRIFT_MPS = 0.25, 0.1
-"""As in `recording.fault`."""
 NO_RANK = -1
 """Of a lane that says nothing about the right of way."""
 MOMENT = np.dtype(
@@ -98,7 +99,10 @@ class Fault:
         """(B, N) since how many simulation steps a vehicle has been a wreck."""
 
     def start(self, rows: Ints) -> None:
-        """Starts episodes in the scenes `rows` (R,), or continues them without a past."""
+        """Starts episodes in the scenes `rows` (R,), or continues them from a saved state.
+
+        States do not hold what vehicles did before, so fault is then judged by what follows.
+        """
         self.at_fault[rows], self._noted[rows], self._wrecked[rows] = np.nan, 0, 0
 
     def forget(self, scenes: Scenes, vehicles: Vehicles) -> None:
@@ -183,7 +187,7 @@ def at_fault(
         other: The other vehicle, over the same T steps.
         dt: The duration of a simulation step, s.
     """
-    recent, yielding = round(RECENT_S / dt), round(YIELDING_S / dt)
+    recent, yielding = round(ENTERED_S / dt), round(YIELDING_S / dt)
     is_back, other_is_back = (
         bool(each.moments["speed"][-1] <= BACKWARDS_MPS) for each in (one, other)
     )
