@@ -88,7 +88,8 @@ class Learners:
         lateral: Whether their actions change the lane, or steer.
 
     Raises:
-        InputError: A number is not that of a vehicle, or it is given twice, or 0 is missing; or
+        InputError: A number is not that of a vehicle, or it is given twice, or 0 is missing; there
+            are several on a road on which vehicles come during the episode; or
             there is no scene, no such render mode, or no action.
     """
 
@@ -124,6 +125,11 @@ class Learners:
         engine = _engine_of(settings, agents, like, len(self.numbers), title)
         with self._placing():
             self.simulation = Simulation(settings, scenes, None, driven, agents, engine, like)
+        if len(self.numbers) > 1 and self.simulation.engine.renewal_steps:
+            raise InputError(
+                f"{title}: learners: other vehicles come to this road later, which no "
+                "learner drives; expected one learner, 0"
+            )
         self.returns = np.zeros(self.scene_of.size)
         """(B L,) sums of the rewards so far."""
         self._are_egos = len(self.numbers) == 1

@@ -168,6 +168,13 @@ def test_learners_with_the_decisions_of_agents_drive_as_these(road: str) -> None
     assert decisions > 10
 
 
+def test_vehicles_that_come_later_need_a_driver_so_an_intersection_has_one_learner() -> None:
+    scene = {"road": "intersection-v0", **SCENE}
+    with pytest.raises(InputError, match="LearnersVectorEnv: learners: other vehicles come"):
+        LearnersVectorEnv(2, (0, 1), scene=scene)
+    LearnersVectorEnv(2, (0,), scene=scene).reset(seed=0)
+
+
 def test_a_learner_that_reaches_the_goal_leaves_the_others_on_the_road() -> None:
     env = LearnersVectorEnv(2, (0, 2), traffic="human", first_seed=5, road="merge-v1", **SCENE)
     env.reset()
