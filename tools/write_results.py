@@ -59,7 +59,7 @@ EGO = {
 """The columns of a table in the documentation: what metric each shows, and how (`Column.form`)."""
 CRASHED = {"crashed episodes": ("crashed_episodes", ".1%")}
 NOT_IN_README = "CHARMS best response"
-DENSE = "transfer-density-2-0-mine-ppo-dqn"
+DENSE = "transfer-density-2-0"
 """The run of the readme's agents at twice the density."""
 STYLES = {
     "speed, m/s": ("speed_mean", ".2f"),
@@ -117,6 +117,13 @@ def readme(run: Path) -> str:
     )
     words = f"At twice the density, these proportions of the episodes end in a crash: {listed}."
     return f"{markdown(replace(table, rows=rows))}\n{fill(words, 100)}\n"
+
+
+def merge(run: Path) -> str:
+    """The table that `charms-bench run` prints, and the worst episode of the readme's policy."""
+    worst = open_run(run).edge_cases(ego="mine", top=1)[0]
+    table = headline(RunFolder(run).suite(), tables_of(run))
+    return f"{markdown(table)}\n> {worst}\n"
 
 
 def tables_of(run: Path) -> RunTables:
@@ -308,7 +315,8 @@ def transfer(run: Path) -> str:
 
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
-    "readme": ("ego-mine-ppo-dqn", readme),
+    "readme": ("ego", readme),
+    "merge": ("merge-mine", merge),
     "runs": ("ego", made_at),
     "ego": ("ego", ego),
     "edge-cases": ("ego", edges),

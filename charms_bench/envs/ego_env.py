@@ -30,6 +30,7 @@ from charms_bench.plugins.traffic import Mixture, Traffic
 from charms_bench.world.moments import scene_of
 from charms_bench.world.named_road import ENVIRONMENT, NamedRoad
 from charms_bench.world.observations import ObservationLike, observation_of
+from charms_bench.world.profile import ROADS
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Observations, SceneSettings
 
@@ -237,6 +238,11 @@ def surroundings(
     keys = {**scene.pop("scene", {}), **scene}
     plain = {k: each.item() if isinstance(each, np.generic) else each for k, each in keys.items()}
     road = plain.pop("road", None)
+    if road is not None:
+        from charms_bench.roads.defaults import duration_of  # slow to import, as the settings below
+
+        name = road if isinstance(road, str) else road.get("name")
+        plain = {"profile": ROADS.name, "duration_s": duration_of(str(name)), **plain}
     if traffic is None:
         traffic = "idm_mobil" if road is None else ENVIRONMENT
     if isinstance(traffic, Mapping) and "road" in traffic:

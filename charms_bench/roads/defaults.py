@@ -309,9 +309,14 @@ SPLIT = ("intersection-multi-agent-v1", "intersection-multi-agent-v2")
 """The environments in which each agent has its own reward and ending [`MultiAgentWrapper`]."""
 
 
-def duration_of(name: str) -> float | None:
-    """The time after which an episode of an environment is truncated, s; None if it never is."""
+UNLIMITED_S = 45.0
+"""Default duration of an episode, s, on the roads on which highway-env truncates none: enough for a
+slow ego to reach the goal."""
+
+
+def duration_of(name: str) -> float:
+    """Default duration of an episode on a road, s [`duration`]."""
     config = DEFAULTS.get(name, {})
     if name in MOST_STEPS:
         return float(MOST_STEPS[name] / config["policy_frequency"])
-    return float(config["duration"]) if "duration" in config else None
+    return float(config.get("duration", UNLIMITED_S))

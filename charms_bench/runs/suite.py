@@ -30,7 +30,7 @@ from charms_bench.plugins.registry import AGENTS, find, is_network, make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.cells import title_of
 from charms_bench.runs.document import Document, Location
-from charms_bench.runs.suite_roads import RoadEntry, refuse_roads_of_traffic, with_own_duration
+from charms_bench.runs.suite_roads import RoadEntry, refuse_roads_of_traffic, with_defaults_of_roads
 from charms_bench.world.moments import RecordedScene, moments_of
 from charms_bench.world.named_road import ENVIRONMENT
 from charms_bench.world.placement import driver_parameters, place
@@ -196,7 +196,7 @@ class Suite(FrozenModel):
     @model_validator(mode="before")
     @classmethod
     def _complete_roads(cls, value: Any) -> Any:
-        """Writes down what the roads decide: the traffic model, and how long an episode is."""
+        """Writes down what the roads decide: the traffic model, the profile, and durations."""
         if not isinstance(value, dict):
             return value
         names = {"traffics", "traffic_models"} & {*value}
@@ -206,9 +206,7 @@ class Suite(FrozenModel):
         if not isinstance(roads, list | tuple) or not roads:
             return value
         value = {**value} if names else {**value, "traffic_models": [{"traffic": ENVIRONMENT}]}
-        if "duration_s" not in (value.get("scene") or {}):
-            value["roads"] = [with_own_duration(each) for each in roads]
-        return value
+        return with_defaults_of_roads(value, roads)
 
     @model_validator(mode="before")
     @classmethod

@@ -9,14 +9,15 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.foundation.fields import UNLESS_EMPTY, Name, Positive
 from charms_bench.world.named_road import ENVIRONMENT, NamedRoad
+from charms_bench.world.profile import ROADS
 
 
 class RoadEntry(NamedRoad):
     """A road of the suite; a plain text is its name."""
 
     duration_s: Annotated[Positive | None, UNLESS_EMPTY] = None
-    """Duration of an episode, unless it ends before. By default, it is `scene.duration_s`, and
-    without that, the duration of the environment."""
+    """Duration of an episode, unless it ends before. By default, it is `scene.duration_s`; without
+    that, the duration of the environment; and 45 s where it has none."""
     label: Name | None = None
     """Its name in tables; by default highway-env's."""
 
@@ -36,15 +37,22 @@ class RoadEntry(NamedRoad):
         return NamedRoad(name=self.name, configuration=self.configuration)
 
 
-def with_own_duration(road: Any) -> Any:
-    """A road as a suite gives it, with the duration of its environment if it has none."""
+def with_defaults_of_roads(suite: dict[str, Any], roads: Sequence[Any]) -> dict[str, Any]:
+    """A suite as a file gives it, with its roads' durations and the profile of roads."""
     from charms_bench.roads.defaults import duration_of  # which suites without roads do not need
 
-    entry = {"name": road} if isinstance(road, str) else road
-    if not isinstance(entry, dict) or "duration_s" in entry:
-        return road
-    duration_s = duration_of(str(entry.get("name")))
-    return road if duration_s is None else {**entry, "duration_s": duration_s}
+    scene = suite.get("scene") or {}
+    if not isinstance(scene, dict):
+        return suite
+    entries = [{"name": each} if isinstance(each, str) else each for each in roads]
+    if "duration_s" not in scene:
+        entries = [
+            {"duration_s": duration_of(str(each.get("name"))), **each}
+            if isinstance(each, dict)
+            else each
+            for each in entries
+        ]
+    return {**suite, "scene": {"profile": ROADS.name, **scene}, "roads": entries}
 
 
 def refuse_roads_of_traffic(model: str, key: str, entries: Any) -> None:

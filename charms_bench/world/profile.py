@@ -1,8 +1,9 @@
 """A profile: the constants of the road, the vehicles and their controllers.
 
-Three are built in: `charms`, the constants of the CHARMS paper and its release, `highway-env`, the
-values highway-env 1.12 ships with, and `naturalistic`, in which vehicles also queue and stop. A
-suite names one and may override any field. The names in brackets are highway-env's.
+Four are built in: `charms`, the constants of the CHARMS paper and its release, `roads`, the same
+at any speed from 0, `highway-env`, the values highway-env 1.12 ships with, and `naturalistic`, in
+which vehicles also queue and stop. A suite names one and may override any field. The names in
+brackets are highway-env's.
 """
 
 import math
@@ -203,6 +204,17 @@ CHARMS = Profile(
 )
 """The constants of the CHARMS paper and its release."""
 
+ROADS = CHARMS.model_copy(
+    update={
+        "name": "roads",
+        "speed_min_mps": 0.0,
+        "target_speed_min_mps": 0.0,
+        "ego_control_rate": "simulation",
+    }
+)
+"""CHARMS's constants at any speed from 0, with the ego's control in every simulation step: the
+default on roads that are no straight motorway, where vehicles turn, yield and stop."""
+
 HIGHWAY_ENV = Profile(
     name="highway-env",
     speed_limit_mps=30.0,
@@ -253,4 +265,4 @@ NATURALISTIC = Profile(
 """Vehicles that queue, stop and start, at up to 130 km/h. IDM's accelerations and jam distance, 2 m
 between bumpers, are those of Kesting et al. (2010, Enhanced IDM, table 1)."""
 
-PROFILES = {profile.name: profile for profile in (CHARMS, HIGHWAY_ENV, NATURALISTIC)}
+PROFILES = {profile.name: profile for profile in (CHARMS, ROADS, HIGHWAY_ENV, NATURALISTIC)}

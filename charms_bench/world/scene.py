@@ -102,7 +102,8 @@ class SceneSettings(FrozenModel):
     """What every scene of a suite has in common."""
 
     profile: ProfileLike = CHARMS
-    """A profile, its name, or its name and other values for some of its fields."""
+    """A profile, its name, or its name and other values for some of its fields. With `roads`, the
+    default is `roads`."""
     lanes: Annotated[int, Field(ge=2, le=8)] = 3
     """Lanes of the road; lane 0 is the leftmost."""
     traffic_vehicles: Annotated[int, Field(ge=0, le=2000)] = 20

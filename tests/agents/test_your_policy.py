@@ -36,9 +36,9 @@ def test_the_ppo_of_the_page_becomes_an_ego_of_the_suite(tmp_path: Path) -> None
         assert done.returncode == 0, done.stderr
         if words[0] == "run":
             printed.append(json.loads(done.stdout))
-    assert len(printed) == 2
+    assert len(printed) == 3
     assert all("mine" in {row["agent"] for row in table} for table in printed)
-    assert (tmp_path / "runs" / "ego-mine").is_dir()
+    assert (tmp_path / "runs" / "merge-mine").is_dir()
     assert (tmp_path / "mine.html").exists()
 
 

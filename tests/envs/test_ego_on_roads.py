@@ -28,10 +28,7 @@ from charms_bench.world.actions import FASTER, IDLE
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scene import SceneSettings
 
-SCENE: dict[str, Any] = {
-    "profile": {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0},
-    "duration_s": 45.0,
-}
+SCENE: dict[str, Any] = {"profile": "roads", "duration_s": 45.0}
 
 
 OF_ROAD: dict[str, Any] = {"traffic": "environment"}

@@ -281,7 +281,7 @@ def test_a_road_as_a_traffic_model_says_what_to_write(tmp_path: Path) -> None:
     ("keys", "durations_s"),
     [
         ({"scene": {"duration_s": 45.0}}, [45.0, 45.0, 7.0]),
-        ({}, [20.0, 10.0, 7.0]),  # a merge has no end, a u-turn lasts 10 s
+        ({}, [45.0, 10.0, 7.0]),  # a merge has no end, a u-turn lasts 10 s
     ],
 )
 def test_an_episode_is_as_long_as_the_road_says(
