@@ -123,7 +123,7 @@ def merge(run: Path) -> str:
     """The table that `charms-bench run` prints, and the worst episode of the readme's policy."""
     worst = open_run(run).edge_cases(ego="mine", top=1)[0]
     table = headline(RunFolder(run).suite(), tables_of(run))
-    return f"{markdown(table)}\n> {worst}\n"
+    return f"{markdown(table)}\n> Episode {worst.episode}: {worst.what}\n"
 
 
 def tables_of(run: Path) -> RunTables:
