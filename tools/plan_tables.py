@@ -70,7 +70,7 @@ SCENARIOS: Columns = {
 HAZARDS = {name: SCENARIOS[name] for name in ("crashed", "at_fault", "idm_mobil")}
 SCORES = ("closed_loop", "given_scene", "events", "total")
 """Of likeness; the total is the lowest of the others."""
-CURVE_BYTES = 250_000
+CURVE_BYTES = 125_000
 CURVE = ("steps", "return_mean", "crashed_share", "epoch", "log_likelihood", "agreement")
 """The columns of learning curves that are kept: of reinforcement, and of learning from humans."""
 WORST = f"{CHARMS}, worst seed"

@@ -3,25 +3,19 @@
 from collections.abc import Mapping
 from typing import Any
 
-import gymnasium
 import numpy as np
-from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from charms_bench.engine.endings import ENDINGS, RUNNING
 from charms_bench.engine.simulation import Simulation
-from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
-from charms_bench.envs.given_actions import GivenLike, array_of
+from charms_bench.envs.given_actions import GivenLike
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.learners import Learners, Reward
 from charms_bench.envs.progress_reward import ProgressReward
-from charms_bench.envs.rendering import RENDER_MODES
-from charms_bench.envs.seeds import checked_seed
-from charms_bench.envs.torch_threads import warn_of_torch_threads
-from charms_bench.envs.vector_env import HighwayVectorEnv, state_in
+from charms_bench.envs.scene_episodes import SceneEpisodes
+from charms_bench.envs.single_env import SingleEnv
+from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.errors import InputError, problem_in
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
@@ -32,7 +26,7 @@ from charms_bench.world.named_road import ENVIRONMENT, NamedRoad
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.profile import ROADS
 from charms_bench.world.scenario import PRESCRIBED
-from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Observations, SceneSettings
+from charms_bench.world.scene import SceneSettings
 
 TrafficLike = str | Mapping[str, Any] | Traffic
 """A traffic, the name of a traffic or of an agent, shares of agents such as `{"idm_mobil": 1.0}`,
@@ -40,12 +34,18 @@ or what a suite gives as `traffic`: `{"name": ..., "options": ...}`, `{"mixture"
 `{"scenario": ...}`. The path of an ONNX file is the name of an agent."""
 
 
-class EgoEnv(gymnasium.Env[Observations, Any]):
+class EgoEnv(SingleEnv):
     """One episode after another; the actions given to `step` drive the ego.
 
     The episodes are those of a suite: `reset(seed=k)` starts the episode with seed k. Without a
     seed, one is drawn that no suite evaluates on. An episode terminates when the ego collides or
-    leaves the road, and is truncated when its time is over.
+    leaves the road, and is truncated when its time is over. The state of `get_state` and of the
+    option `state` of `reset` is a `SceneState`.
+
+    The info of `reset` contains the `seed`. With meta-actions, every info contains the
+    `action_mask` (A,) of the next step, which `action_space.sample` takes; see `world.action_mask`.
+    The last one contains the `ending`, one of `engine.simulation.ENDINGS`. Continuous actions are
+    clipped.
 
     Args:
         traffic: Assigns a driver to each of the other vehicles; by default `idm_mobil`, and on a
@@ -69,8 +69,6 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
             actions or the render mode is wrong.
     """
 
-    metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012  # gymnasium's
-
     def __init__(
         self,
         traffic: TrafficLike | None = None,
@@ -83,110 +81,15 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         **scene: Any,
     ) -> None:
         settings, around, agents = surroundings(traffic, scene, ID)
-        self._learners = Learners(
-            settings,
-            1,
-            (0,),
-            around,
-            agents,
-            reward or reward_of(actions, settings),
-            observation_of(observation),
-            render_mode,
-            actions=actions,
-            longitudinal=longitudinal,
-            lateral=lateral,
-        )
-        self.observation_space, self.action_space = self._learners.spaces
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": self.simulation.settings.decision_hz}
+        how = (around, agents, reward or reward_of(actions, settings), observation_of(observation))
+        learners = Learners(settings, 1, (0,), *how, ID, actions, longitudinal, lateral)
+        super().__init__(SceneEpisodes(learners), render_mode)
 
     @property
     def simulation(self) -> Simulation:
         """The simulation of the episode."""
-        return self._learners.simulation
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, dict[str, Any]]:
-        """Starts an episode; the info contains its `seed` and, with meta-actions, the action mask.
-
-        Args:
-            seed: The episode's seed; None draws one.
-            options: `state`, a `SceneState` of one running scene, which the episode continues.
-
-        Raises:
-            InputError: There is another option, or the state does not fit, or the seed is none.
-        """
-        warn_of_torch_threads()
-        seed = None if seed is None else checked_seed(seed)
-        super().reset(seed=seed)
-        if (state := state_in(options)) is not None:
-            seed = int(state.seeds[0])
-            self._learners.restore(state)
-        else:
-            if seed is None:
-                seed = EVALUATION_SEEDS + int(self.np_random.integers(2**62))
-            self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
-        self._learners.show()
-        return self._observe(), {"seed": seed, **self._mask()}
-
-    def step(self, action: Any) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
-        """Carries out the ego's action for one decision interval.
-
-        Returns:
-            Observation, reward, terminated, truncated, and the info. With meta-actions, the info
-            contains the `action_mask` (A,) of the next step, which `action_space.sample` takes; see
-            `world.action_mask`. The info of the last step contains the `ending`, one of
-            `engine.simulation.ENDINGS`.
-
-        Raises:
-            InputError: The action is not one of `action_space`. Continuous actions are clipped.
-            ResetNeeded: No episode has started, or it is over.
-        """
-        if self.simulation.ending[0] != RUNNING:
-            raise ResetNeeded("step after the end of the episode; reset starts the next one")
-        outcome = self._learners.step(array_of(action)[None])
-        reward, terminated = float(outcome.rewards[0]), bool(outcome.terminated[0])
-        truncated, info = bool(outcome.truncated[0]), self._mask()
-        if terminated or truncated:
-            info["ending"] = ENDINGS[self.simulation.ending[0]]
-        return self._observe(), reward, terminated, truncated, info
-
-    def action_masks(self) -> Bools:
-        """The ego's action mask (A,), as sb3-contrib's `MaskablePPO` asks for it."""
-        masks = self._learners.masks(self.simulation.ego_vehicles)
-        return np.asarray(masks[0], dtype=np.bool_)
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """The scene, (height, width, 3), if asked for; see `HighwayVectorEnv.render`."""
-        frames = self._learners.render()
-        return frames[0] if frames else None
-
-    def close(self) -> None:
-        """Closes the window."""
-        self._learners.renderer.close()
-
-    def get_state(self) -> SceneState:
-        """The state of the episode, for `set_state`."""
-        return self.simulation.state()
-
-    def set_state(self, state: SceneState) -> Observations:
-        """Continues the episode of a state; returns the ego's observation.
-
-        Raises:
-            InputError: The state does not fit.
-        """
-        self._learners.restore(state)
-        return self._observe()
-
-    def _observe(self) -> Observations:
-        return np.asarray(self._learners.observe(self.simulation.ego_vehicles)[0])
-
-    def _mask(self) -> dict[str, Any]:
-        """The action mask for the info; continuous actions have none."""
-        if self._learners.actions.kind != "meta":
-            return {}
-        return {"action_mask": self._learners.masks(self.simulation.ego_vehicles)[0]}
+        found: Simulation = self._episodes.simulation
+        return found
 
 
 def ego_vector_env(

@@ -16,7 +16,6 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
 from charms_bench.envs.given_actions import GivenActions, GivenLike
-from charms_bench.envs.rendering import Frame, Renderer, frame_of, moment_of
 from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError, ScenarioError
 from charms_bench.plugins.agent import Agent
@@ -81,7 +80,6 @@ class Learners:
         reward: The reward of a decision: of the vehicles that drive, or if 0 is the only number,
             of the egos.
         observation: The learners' observation.
-        render_mode: One of `RENDER_MODES`, or None.
         title: The environment's name, for messages and pictures.
         actions: The learners' actions; see `GivenActions`.
         longitudinal: Whether their actions change the speed.
@@ -89,8 +87,8 @@ class Learners:
 
     Raises:
         InputError: A number is not that of a vehicle, or it is given twice, or 0 is missing; there
-            are several on a road on which vehicles come during the episode; or
-            there is no scene, no such render mode, or no action.
+            are several on a road on which vehicles come during the episode; or there is no scene,
+            or no action.
     """
 
     def __init__(
@@ -102,12 +100,12 @@ class Learners:
         agents: Mapping[str, Agent],
         reward: Reward[Any] | VehicleReward,
         observation: Observation = neighbours,
-        render_mode: str | None = None,
         title: str = ID,
         actions: GivenLike = "meta",
         longitudinal: bool = True,
         lateral: bool = True,
     ) -> None:
+        self.title = title
         self.actions = GivenActions(actions, longitudinal, lateral, title)
         if scenes < 1:
             raise InputError(f"scenes is {scenes}; expected at least 1")
@@ -121,7 +119,6 @@ class Learners:
         if len(self.numbers) == settings.vehicles > 1:
             driven = OneAgent("")
         like = self.actions.like
-        self._title = title
         engine = _engine_of(settings, agents, like, len(self.numbers), title)
         with self._placing():
             self.simulation = Simulation(settings, scenes, None, driven, agents, engine, like)
@@ -137,7 +134,6 @@ class Learners:
         self._alive = np.zeros(self.returns.size, dtype=np.bool_)
         self.spaces = spaces_of(settings, observation, like)[0], self.actions.space
         """Of a learner's observations and of its actions."""
-        self.renderer = Renderer(scenes, settings.decision_hz, render_mode, title)
         self._observation = observation
         self._reward: Any = reward
         self._has_started = False
@@ -179,7 +175,7 @@ class Learners:
             yield
         except ScenarioError as error:
             at = ".".join(map(str, ("scenario", *error.location)))
-            raise InputError(f"{self._title}: {at}: {error}") from error
+            raise InputError(f"{self.title}: {at}: {error}") from error
 
     def of_scenes(self, rows: Ints) -> Ints:
         """The indices (R L,) of the learners of R scenes."""
@@ -199,15 +195,26 @@ class Learners:
             raise InputError("reset: option 'reset_mask': the learners of a scene start together")
         return each[:, 0]
 
-    def restore(self, state: SceneState) -> None:
-        """Continues all scenes from a state, in which the egos are the only learners.
+    def restore(
+        self, state: SceneState, places: Ints | None = None, alive: Bools | None = None
+    ) -> None:
+        """Continues all scenes from a state.
+
+        Args:
+            state: That of the scenes.
+            places: (B L,) the learners' places, unless the egos are the only learners.
+            alive: (B L,) which of them drive.
 
         Raises:
-            InputError: It is not a `SceneState`, it does not fit, or its scenes are not between two
-                decisions.
+            InputError: It is not a `SceneState`, it does not fit, its scenes are not between two
+                decisions, or it is one of other learners.
         """
         if not isinstance(state, SceneState):
             raise InputError(f"found {type(state).__name__}, expected a SceneState")
+        found = 1 if places is None else places.size // len(state)
+        if found != len(self.numbers):
+            count = len(self.numbers)
+            raise InputError(f"the state has {found} learners in a scene; expected {count}")
         if state.phase:
             raise InputError(
                 f"the state was saved {state.phase} simulation steps after a decision; an "
@@ -217,6 +224,8 @@ class Learners:
             ended = state.seeds[~state.active][0]
             raise InputError(f"the state of episode {ended} was saved after the episode had ended")
         self.simulation.restore(state.seated(state.ego, ""))
+        if places is not None and alive is not None:
+            self._places[:], self._alive[:] = places, alive
         self._has_started = True
         self.returns[:] = 0.0
 
@@ -230,18 +239,6 @@ class Learners:
         own = meta_actions_of(self.actions.like) or DEFAULT_ACTIONS
         seen = self.simulation.engine.seen_by(vehicles)
         return action_masks(*seen, own)[:, self.actions.meaning]
-
-    def show(self) -> None:
-        """Shows the scenes in a window if the render mode is `human`."""
-        self.renderer.show(self._frame)
-
-    def render(self) -> tuple[Frame, ...] | None:
-        """The pictures of the scenes; see `Renderer.render`."""
-        self.check_started("render")
-        return self.renderer.render(self._frame)
-
-    def _frame(self, row: int) -> Frame:
-        return frame_of(moment_of(self.simulation, row, self._title))
 
     def check_started(self, what: str) -> None:
         """Raises a `ResetNeeded` before the first reset."""
@@ -267,7 +264,6 @@ class Learners:
         else:
             simulation.command(vehicles, actions[drove])
             simulation.step()
-        self.show()
         seen = (simulation, prepared) if is_of_egos else simulation.engine.seen_by(vehicles)
         rewards = reward(*seen)
         if self._are_egos:

@@ -3,12 +3,15 @@
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import TrafficLike, surroundings
 from charms_bench.envs.given_actions import MetaLike
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
+from charms_bench.envs.scene_episodes import SceneEpisodes
 from charms_bench.envs.vector_env import ScenesVectorEnv
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import Bools
@@ -59,17 +62,23 @@ class LearnersVectorEnv(ScenesVectorEnv):
     ) -> None:
         title = type(self).__name__
         settings, around, agents = surroundings(traffic, scene, title)
-        seen = observation_of(observation)
-        how = (around, agents, reward, seen, render_mode, title)
+        how = (around, agents, reward, observation_of(observation), title)
         made = Learners(settings, scenes, learners, *how, actions, longitudinal, lateral)
-        super().__init__(made, first_seed, autoreset_mode)
+        super().__init__(SceneEpisodes(made), render_mode, first_seed, autoreset_mode)
+
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation of all scenes."""
+        found: Simulation = self._episodes.simulation
+        return found
 
     @property
     def learners(self) -> tuple[int, ...]:
         """The numbers of the L learners."""
-        return self._learners.numbers
+        found: tuple[int, ...] = self._episodes.learners.numbers
+        return found
 
     @property
     def alive(self) -> Bools:
         """(B L,) whether the learner drives, so that its next action counts."""
-        return self._learners.alive.copy()
+        return np.array(self._episodes.learners.alive)

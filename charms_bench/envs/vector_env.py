@@ -1,7 +1,7 @@
-"""Episodes as a `gymnasium.vector.VectorEnv`: the actions given to `step` drive the learners."""
+"""Episodes side by side as a `gymnasium.vector.VectorEnv`."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Generic, NamedTuple
+from typing import Any, Generic
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -9,77 +9,44 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from charms_bench.engine.simulation import Simulation
-from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
 from charms_bench.envs.autoreset import Autoreset
+from charms_bench.envs.episodes import Episodes, Seeds, checked_options, masked, row_of
 from charms_bench.envs.given_actions import GivenLike
 from charms_bench.envs.learners import C, Learners, Reward
-from charms_bench.envs.rendering import RENDER_MODES
-from charms_bench.envs.seeds import checked_seed, random_seeds, seeds_of
+from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.scene_episodes import EpisodesState as EpisodesState
+from charms_bench.envs.scene_episodes import SceneEpisodes
+from charms_bench.envs.seeds import checked_seed, seeds_of
+from charms_bench.envs.single_env import restore_option
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
-from charms_bench.foundation.generator import State, seeded, word
+from charms_bench.foundation.arrays import Bools, Floats
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.world.action_mask import ActionMasks
-from charms_bench.world.actions import Actions
 from charms_bench.world.observations import Observation, neighbours
-from charms_bench.world.scene import (
-    EVALUATION_SEEDS,
-    Bools,
-    Floats,
-    Ints,
-    Observations,
-    SceneSettings,
-    Vehicles,
-)
+from charms_bench.world.scene import SceneSettings
 
 
-class EpisodesState(NamedTuple):
-    """The state of every running episode, and the environment's counters."""
+class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
+    """B scenes as N environments: one a scene, or B L, where each scene has L learners.
 
-    scenes: SceneState
-    returns: Floats
-    """[B] sums of the rewards so far."""
-    next_seed: int | None
-    """None if the generators draw the next seeds."""
-    generators: State | None = None
-    """[B, 6] the random generators of the scenes; None leaves them as they are."""
-
-
-def checked_options(options: dict[str, Any] | None) -> dict[str, Any]:
-    """The options of `reset`, none by default; an `InputError` if they are something else."""
-    if options is not None and not isinstance(options, dict):
-        raise InputError(f"reset: options is {options!r:.80}; expected a dictionary")
-    return options or {}
-
-
-def state_in(options: dict[str, Any] | None) -> SceneState | None:
-    """The option `state` of `reset`.
-
-    Raises:
-        InputError: There is another option, or it is not a state.
-    """
-    options = checked_options(options)
-    if unknown := sorted(options.keys() - {"state"}):
-        raise InputError(f"reset takes the option 'state', got {', '.join(unknown)}")
-    state = options.get("state")
-    if state is not None and not isinstance(state, SceneState):
-        found = type(state).__name__
-        raise InputError(f"reset: expected a SceneState as the option 'state', found {found}")
-    return state
-
-
-class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
-    """B scenes with L learners each, as B L environments; those of the first scene come first.
-
-    When no learner of a scene is left, the next scene starts: within the same step, or as
-    `autoreset_mode` says, one of Gymnasium's `AutoresetMode`. Until then, the observations of
+    When nobody drives in a scene any more, the next episode starts there: within the same step, or
+    as `autoreset_mode` says, one of Gymnasium's `AutoresetMode`. Until then, the observations of
     learners that have left are zeros, their rewards are 0, and their actions have no effect.
 
-    The k-th scene to start has the seed `first_seed + k`, until `reset` is given a seed. Without
+    The k-th episode to start has the seed `first_seed + k`, until `reset` is given a seed. Without
     `first_seed`, each scene has a random generator of its own, as in Gymnasium's own vector
-    environments, which draws the seeds of its next episodes as `EgoEnv` does.
+    environments, which the next episodes continue.
+
+    Args:
+        episodes: The episodes of the scenes.
+        render_mode: `rgb_array`, `human`, or None.
+        first_seed: That of the first episode.
+        autoreset_mode: When the next episodes start.
+
+    Raises:
+        InputError: There is no such mode, or the seed is none.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
@@ -89,134 +56,134 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
 
     def __init__(
         self,
-        learners: Learners,
+        episodes: Episodes,
+        render_mode: str | None = None,
         first_seed: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     ) -> None:
-        self._learners = learners
+        self._episodes: Any = episodes
         self._next_seed = None if first_seed is None else checked_seed(first_seed)
-        scenes = learners.simulation.seeds.size
-        self._generators = seeded(random_seeds(scenes))
-        self._autoreset = Autoreset(autoreset_mode, scenes, type(self).__name__)
+        self._autoreset = Autoreset(autoreset_mode, episodes.scenes, episodes.title)
         self.autoreset_mode = self._autoreset.mode
         """As the attribute of Gymnasium's own vector environments, which TorchRL reads."""
-        self.num_envs = learners.returns.size
-        self.single_observation_space, self.single_action_space = learners.spaces
+        self.num_envs = episodes.environments
+        self.single_observation_space, self.single_action_space = episodes.spaces
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.render_mode = learners.renderer.mode
+        self.render_mode = render_mode
+        hz = episodes.decision_hz
+        self._renderer = Renderer(episodes.scenes, hz, render_mode, episodes.title)
         self.metadata = {
             **self.metadata,
             "autoreset_mode": self.autoreset_mode,
-            "render_fps": self.simulation.settings.decision_hz,
+            "render_fps": hz,
         }
-
-    @property
-    def simulation(self) -> Simulation:
-        """The simulation of all scenes."""
-        return self._learners.simulation
 
     def reset(
         self,
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Starts an episode in every scene.
 
         Args:
             seed: The seed of the first scene's episode, from which those of the others count on, or
                 one for each scene; None continues.
-            options: `reset_mask` (B L,), true where episodes start and false where they go on. If
-                the egos are the only learners, `state`, a `SceneState` of B running scenes in which
-                the episodes start.
+            options: `reset_mask` (N,), true where episodes start and false where they go on, or
+                `state`, as of `get_state` of one environment, but of B scenes, in which all start.
 
         Returns:
-            Observations and infos; with meta-actions, these have the `action_mask`; see `step`.
+            Observations and infos; with the meta-actions of `Ego-v0`, these have the `action_mask`;
+            see `step`.
 
         Raises:
             InputError: There is another option, or the state, a seed or the mask does not fit.
         """
         warn_of_torch_threads()
-        learners, options = self._learners, dict(checked_options(options))
-        seeds = seeds_of(seed, self.simulation.seeds.size)
-        mask = options.pop("reset_mask", None)
-        if options and len(learners.numbers) > 1:
-            raise InputError(f"reset takes the option 'reset_mask', got {', '.join(options)}")
-        state = state_in(options)
+        episodes, options = self._episodes, checked_options(options, "reset_mask", "state")
+        seeds = seeds_of(seed, episodes.scenes)
+        mask, state = options.get("reset_mask"), options.get("state")
         if state is not None and mask is not None:
             raise InputError("reset takes one of the options 'reset_mask' and 'state'")
-        rows = self._autoreset.of_reset(learners.scenes_of(mask))
+        rows = self._autoreset.of_reset(episodes.scenes_of(mask))
         super().reset(seed=seeds[0])
-        for row in rows.tolist():
-            if (own := seeds[row]) is not None:
-                self._generators[row] = seeded(np.array([own], dtype=np.uint64))[0]
-                self._next_seed = None
+        given = [seeds[row] for row in rows.tolist()]
+        if any(own is not None for own in given):
+            self._next_seed = None
+        episodes.reseed(rows, given)
         if state is None:
-            self._start(rows, seeds)
+            episodes.start(rows, self._counted(given))
         else:
-            learners.restore(state)
-        learners.show()
-        return self._observe(learners.vehicles, learners.alive), self._infos()
+            restore_option(episodes, state)
+        self._renderer.show(episodes.frame)
+        starts = np.zeros(self.num_envs, dtype=np.bool_)
+        starts[episodes.of_scenes(rows)] = True
+        return episodes.observe(), masked(episodes.first(), starts) | self._always()
 
-    def step(self, actions: Any) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
-        """Carries out the actions, (B L,) or continuous (B L, 2), for one decision interval.
+    def step(self, actions: Any) -> tuple[Any, Floats, Bools, Bools, dict[str, Any]]:
+        """Carries out the actions (N, ...) until the next decision.
 
         Returns:
-            Observations (B L, rows, columns), rewards (B L,), terminations (B L,), truncations
-            (B L,), and infos. With meta-actions, these have the `action_mask` (B L, A) of the next
-            step; see `world.action_mask`. They also have the `final_obs` and the `final_info` of
-            the learners whose episodes ended: `ending` (an index into
-            `engine.simulation.ENDINGS`), `steps`, `episode_return` and the scene's `seed`. If the
-            next episodes do not start in the same step, these four are infos themselves.
+            Observations (N, ...), rewards (N,), terminations (N,), truncations (N,), and infos.
+            Where an episode has ended and the next starts in the same step, the observation is the
+            next one's, and infos have the `final_obs` and the `final_info`.
+
+            In `Ego-v0` with meta-actions and of learners, infos have the `action_mask` (N, A) of
+            the next step; see `world.action_mask`. Those about an episode that has ended are
+            `ending` (an index into `engine.simulation.ENDINGS`), `steps`, `episode_return` and the
+            scene's `seed`. On highway-env's roads, infos are highway-env's.
 
         Raises:
             InputError: The actions have another shape or type, or one is out of range.
             ResetNeeded: There was no reset yet, or ended episodes wait for one.
         """
-        learners, simulation = self._learners, self.simulation
+        episodes = self._episodes
         due = self._autoreset.before_step()
-        vehicles, drove = learners.vehicles, learners.alive
-        rewards, terminations, truncations, endings = learners.step(actions)
-        observations = self._observe(vehicles, drove)
-        infos: dict[str, Any] = {}
+        observations, rewards, terminated, truncated = episodes.decide(actions, due)
+        self._renderer.show(episodes.frame)
+        known = np.ones(self.num_envs, dtype=np.bool_)
         if due.size:
-            waited, rewards = learners.of_scenes(due), rewards.copy()
-            rewards[waited], terminations[waited], truncations[waited] = 0.0, False, False
-        ended = terminations | truncations
-        if (rows := np.nonzero(ended)[0]).size:
-            facts = {
-                "ending": endings,
-                "steps": simulation.steps[learners.scene_of],
-                "episode_return": learners.returns,
-                "seed": simulation.seeds[learners.scene_of],
-            }
-            infos = {name: np.where(ended, every, 0) for name, every in facts.items()}
-            infos |= {f"_{name}": ended.copy() for name in facts}
-        if rows.size and self.autoreset_mode == AutoresetMode.SAME_STEP:
+            waited, rewards = episodes.of_scenes(due), rewards.copy()
+            rewards[waited], terminated[waited], truncated[waited] = 0.0, False, False
+            known[waited] = False
+        ended = terminated | truncated
+        facts, has_ended = episodes.facts(known), bool(ended.any())
+        final = episodes.final(ended) if has_ended else {}
+        if has_ended and self.autoreset_mode == AutoresetMode.SAME_STEP:
             final_obs = np.full(ended.size, None, dtype=object)
-            for row in rows:
-                final_obs[row] = observations[row].copy()
-            infos = {"final_obs": final_obs, "final_info": infos}
-            infos |= {f"_{name}": ended.copy() for name in infos}
-            observations[rows] = 0.0
-        driven = learners.alive.reshape(simulation.seeds.size, -1)
-        over = np.asarray(~driven.any(axis=1))
+            for row in np.flatnonzero(ended):
+                final_obs[row] = row_of(observations, row)
+            final_info = masked({**facts, **final}, ended)
+            final = {"final_obs": final_obs, "final_info": final_info}
+            if ended.size > episodes.scenes:  # other learners may go on
+                observations[ended] = 0.0
+        over = episodes.over(ended)
         over[due] = False
         starting = np.concatenate([due, self._autoreset.after_step(over)])
+        infos = masked(facts, known)
         if starting.size:
-            self._start(starting)
-            first = learners.of_scenes(starting)
-            first = first[learners.alive[first]]
-            observations[first] = learners.observe(
-                (learners.scene_of[first], learners.places[first])
-            )
-        infos |= self._infos()
-        return observations, rewards, terminations, truncations, infos
+            starts = np.zeros(self.num_envs, dtype=np.bool_)
+            starts[episodes.of_scenes(starting)] = True
+            episodes.start(starting, self._counted([None] * starting.size))
+            episodes.begin(observations, starting)
+            infos = masked(facts, known & ~starts)
+            for name, values in episodes.first().items():
+                before = infos.get(f"_{name}", False)
+                infos |= {name: values, f"_{name}": starts | before}
+        infos |= masked(final, ended) | self._always()
+        return observations, rewards, terminated, truncated, infos
 
     def action_masks(self) -> Bools:
-        """The action masks (B L, A), as sb3-contrib's `MaskablePPO` asks for them."""
-        return self._masks().astype(np.bool_)
+        """The action masks (N, A), as sb3-contrib's `MaskablePPO` asks for them.
+
+        Where actions are tuples, the masks are (N, agents, A).
+
+        Raises:
+            InputError: The actions are no meta-actions.
+            ResetNeeded: There was no reset yet.
+        """
+        return np.asarray(self._episodes.masks()).astype(np.bool_)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """The scenes as animations of replays draw them, B times (height, width, 3), if asked for.
@@ -228,48 +195,39 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         Raises:
             InputError: There is no display for the window.
         """
-        return self._learners.render()
+        self._episodes.check_started("render")
+        return self._renderer.render(self._episodes.frame)
 
     def close_extras(self, **_: Any) -> None:
         """Closes the window."""
-        self._learners.renderer.close()
+        self._renderer.close()
 
-    def _start(self, rows: Ints, given: Sequence[int | None] = ()) -> None:
-        """Starts an episode in each of the scenes `rows`, with its seed if there is one."""
-        seeds = np.empty(rows.size, dtype=np.uint64)
-        for k, row in enumerate(rows.tolist()):
-            own = given[row] if given else None
-            if own is None and self._next_seed is not None:
-                own, self._next_seed = self._next_seed, self._next_seed + 1
-            if own is None:  # as `EgoEnv.reset`: `integers(2**62)` are the upper bits of a word
-                own = EVALUATION_SEEDS + (int(word(self._generators[row])) >> 2)
-            seeds[k] = own
-        self._learners.reset(seeds, rows)
+    def get_state(self) -> Any:
+        """The state of every episode, for `set_state`."""
+        return self._episodes.saved(self._next_seed)
 
-    def _observe(self, vehicles: Vehicles, alive: Bools) -> Observations:
-        """The observations (B L, rows, columns), zeros where `alive` (B L,) is false."""
-        return _spread(self._learners.observe(vehicles), alive, 0)
+    def set_state(self, state: Any) -> Any:
+        """Continues as after `get_state`; returns the last observations.
 
-    def _masks(self) -> ActionMasks:
-        """The action masks (B L, A); all 1 for learners that do not drive any more."""
-        learners = self._learners
-        return _spread(learners.masks(learners.vehicles), learners.alive, 1)
+        Raises:
+            InputError: The state does not fit.
+        """
+        self._next_seed = self._episodes.load(state)
+        self._autoreset.continue_all()
+        return self._episodes.observe()
 
-    def _infos(self) -> dict[str, Any]:
-        """The infos of every step; continuous actions have no mask."""
-        if self._learners.actions.kind != "meta":
-            return {}
-        known = np.ones(self.num_envs, dtype=np.bool_)
-        return {"action_mask": self._masks(), "_action_mask": known}
+    def _counted(self, given: Seeds) -> Seeds:
+        """The seeds of the next episodes, counted on from `first_seed` where none is given."""
+        if self._next_seed is None:
+            return given
+        first, count = self._next_seed, sum(own is None for own in given)
+        self._next_seed += count
+        left = iter(range(first, first + count))
+        return [next(left) if own is None else own for own in given]
 
-
-def _spread(values: NDArray[Any], alive: Bools, fill: int) -> NDArray[Any]:
-    """Values (M, ...) of the M learners that are `alive` (B L,), as (B L, ...)."""
-    if len(values) == alive.size:
-        return values
-    spread = np.full((alive.size, *values.shape[1:]), fill, dtype=values.dtype)
-    spread[alive] = values
-    return spread
+    def _always(self) -> dict[str, Any]:
+        every = np.ones(self.num_envs, dtype=np.bool_)
+        return masked(self._episodes.always(), every)
 
 
 class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
@@ -298,32 +256,12 @@ class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
         lateral: bool = True,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     ) -> None:
-        how = (traffic, agents, reward, observation, render_mode)
-        chosen = (actions, longitudinal, lateral)
-        learners = Learners(settings, scenes, (0,), *how, ID, *chosen)
-        super().__init__(learners, first_seed, autoreset_mode)
+        how = (traffic, agents, reward, observation, ID, actions, longitudinal, lateral)
+        episodes = SceneEpisodes(Learners(settings, scenes, (0,), *how))
+        super().__init__(episodes, render_mode, first_seed, autoreset_mode)
 
-    def get_state(self) -> EpisodesState:
-        """The state of every episode, for `set_state`."""
-        counters = self._learners.returns.copy(), self._next_seed, self._generators.copy()
-        return EpisodesState(self.simulation.state(), *counters)
-
-    def set_state(self, state: EpisodesState) -> Observations:
-        """Continues as after `get_state`; returns the egos' observations.
-
-        Raises:
-            InputError: The state does not fit.
-        """
-        if not isinstance(state, EpisodesState):
-            raise InputError(
-                f"found {type(state).__name__}, expected an EpisodesState; a SceneState continues "
-                'with reset(options={"state": state})'
-            )
-        learners = self._learners
-        learners.restore(state.scenes)
-        learners.returns[:] = state.returns
-        self._next_seed = state.next_seed
-        if state.generators is not None:
-            self._generators[:] = state.generators
-        self._autoreset.continue_all()
-        return self._observe(learners.vehicles, learners.alive)
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation of all scenes."""
+        found: Simulation = self._episodes.simulation
+        return found

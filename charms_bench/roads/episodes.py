@@ -36,6 +36,8 @@ class EpisodesState(NamedTuple):
     """Those of `Episodes`."""
     seen: Seen
     """The last observations."""
+    next_seed: int | None = None
+    """Of a vector environment whose seeds count on."""
 
 
 class Decision(NamedTuple):

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rows.history import earlier_networks, missing
 
 pytest.importorskip("torch", reason="needs the extra 'train'")
 
@@ -19,7 +20,6 @@ from charms_bench.plugins.specs import TrafficSpec
 PROJECT = Path(__file__).parents[2]
 SUITE = PROJECT / "suites" / "train-baselines.yaml"
 POLICIES = PROJECT / "agents" / "charms_agents" / "policies"
-LEVEL_1 = PROJECT / "networks" / "baselines" / "level_1.onnx"
 
 
 def job_of(shares: dict[str, float], weights_of: str = "", **options: Any) -> Job:
@@ -53,13 +53,16 @@ def test_an_option_of_the_reward_decides_the_network_too(option: dict[str, Any])
     assert plain.key != changed.key
 
 
-def test_the_baselines_suite_gives_the_keys_of_the_networks_in_the_package() -> None:
+def test_the_baselines_suite_gives_the_keys_of_its_networks(tmp_path: Path) -> None:
+    if why := missing():
+        pytest.skip(why)
+    level_1 = earlier_networks(tmp_path) / "baselines" / "level_1.onnx"
     suite = load_training(SUITE)
     for name in suite.stages:
         drivers = {
-            driver: OnnxPolicy(LEVEL_1) if driver == "level_1" else make_agent(driver)
+            driver: OnnxPolicy(level_1) if driver == "level_1" else make_agent(driver)
             for driver in suite.drivers_of(suite.stages[name])
         }
-        folder = LEVEL_1.parent if name == "level_1" else POLICIES
+        folder = level_1.parent if name == "level_1" else POLICIES
         made = json.loads((folder / f"{name}.json").read_text())
         assert reinforcement_job(Path(), "", name, suite, drivers).key == made["key"]

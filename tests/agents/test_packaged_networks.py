@@ -10,6 +10,7 @@ import pytest
 from charms_agents.charms import STYLES
 from charms_agents.human.samples import fingerprint
 from charms_agents.training.suite_file import load_training
+from rows.history import earlier_networks, missing
 
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
@@ -18,40 +19,37 @@ from charms_bench.world.recording_folder import find_trios
 PROJECT = Path(__file__).parents[2]
 POLICIES = PROJECT / "agents" / "charms_agents" / "policies"
 PACKAGED = tuple(sorted(file.stem for file in POLICIES.glob("*.onnx")))
-TRAININGS = {
-    "train-baselines": PROJECT / "networks" / "baselines",
-    "train": PROJECT / "networks" / "seed-3012",
-}
-"""Each training suite of the package, and the folder of its networks that are not packaged."""
-HASHES = PROJECT / "docs" / "results" / "plan-trainings.csv"
+RESULTS = PROJECT / "docs" / "results"
+HASHES = RESULTS / "plan-trainings.csv"
 """The hashes of the networks of the plan, also of those that are not kept."""
-SUITES = {name: load_training(PROJECT / "suites" / f"{name}.yaml") for name in TRAININGS}
+NOT_KEPT = RESULTS / "networks.csv"
+NAMES = ("train-baselines", "train")
+SUITES = {name: load_training(PROJECT / "suites" / f"{name}.yaml") for name in NAMES}
 
 
-def network(suite: str, name: str) -> Path:
-    """The network of a stage: in the package, or else beside it."""
-    packaged = POLICIES / f"{name}.onnx"
-    return packaged if packaged.is_file() else TRAININGS[suite] / packaged.name
+def network(name: str) -> Path:
+    """The network of a stage, in the package if it is kept."""
+    return POLICIES / f"{name}.onnx"
 
 
 STAGES = [
     (suite, name)
     for suite, training in SUITES.items()
     for name in training.stages
-    if network(suite, name).is_file()
+    if network(name).is_file()
 ]
 HUMAN_STAGES = [
     (suite, name)
     for suite, training in SUITES.items()
     if training.human is not None
     for name in training.human.stages
+    if network(name).is_file()
 ]
-RECORDED = [(suite, name) for suite, name in HUMAN_STAGES if name != "people"]
 US101 = PROJECT.parent / "shared" / "data" / "us101_corrected"
 
 
-def manifest(suite: str, name: str) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(network(suite, name).with_suffix(".json").read_text())
+def manifest(name: str) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(network(name).with_suffix(".json").read_text())
     return content
 
 
@@ -60,10 +58,13 @@ def sha256(file: Path) -> str:
 
 
 def hash_of(suite: str, name: str) -> str:
-    """The hash of the network of a stage, by the table of the trainings if it is not kept."""
-    if (file := network(suite, name)).is_file():
+    """The hash of the network of a stage, by the tables of the trainings if it is not kept."""
+    if (file := network(name)).is_file():
         return sha256(file)
-    table = pl.read_csv(HASHES).filter(network=name, seed=SUITES[suite].seed)
+    if suite == "train-baselines":
+        table = pl.read_csv(NOT_KEPT).filter(network=f"baselines/{name}")
+    else:
+        table = pl.read_csv(HASHES).filter(network=name, seed=SUITES[suite].seed)
     return str(table["onnx_sha256"].item())
 
 
@@ -78,16 +79,22 @@ def test_the_paper_has_one_of_the_networks_of_the_plan() -> None:
     assert table["onnx_sha256"].item() == sha256(POLICIES / "charms_paper.onnx")
 
 
-def test_only_styles_before_fine_tuning_are_not_kept() -> None:
-    lacking = {name for name in SUITES["train"].stages if ("train", name) not in STAGES}
-    styles = {"_".join(style) for style in STYLES.values()}
-    assert lacking == styles - {"efficient_egoistic"}
-    assert set(SUITES["train-baselines"].stages) <= {name for _, name in STAGES}
+def test_a_network_that_is_not_kept_can_be_made_or_found(tmp_path: Path) -> None:
+    lacking = pl.read_csv(NOT_KEPT)
+    of_plan = lacking.filter(pl.col("network").str.starts_with("seed-3012/"))
+    plan = pl.read_csv(HASHES).filter(seed=3012)
+    for path, found in of_plan.select("network", "onnx_sha256").iter_rows():
+        assert plan.filter(network=path.split("/")[1])["onnx_sha256"].item() == found
+    assert not lacking.select("command", "commit").null_count().sum_horizontal().item()
+    if not missing():
+        before = earlier_networks(tmp_path)
+        for path, found in lacking.select("network", "onnx_sha256").iter_rows():
+            assert sha256(before / f"{path}.onnx") == found
 
 
 @pytest.mark.parametrize(("suite", "name"), STAGES + HUMAN_STAGES)
 def test_each_is_small_and_the_one_its_manifest_describes(suite: str, name: str) -> None:
-    file, made = network(suite, name), manifest(suite, name)
+    file, made = network(name), manifest(name)
     assert file.stat().st_size < 1_000_000
     assert made["onnx_sha256"] == sha256(file) == OnnxPolicy(file).weights_sha256
     assert made["export_check"]["observations"] >= 9_000
@@ -95,7 +102,7 @@ def test_each_is_small_and_the_one_its_manifest_describes(suite: str, name: str)
 
 @pytest.mark.parametrize(("suite", "name"), STAGES)
 def test_each_was_trained_as_the_suite_says(suite: str, name: str) -> None:
-    training, made = SUITES[suite], manifest(suite, name)
+    training, made = SUITES[suite], manifest(name)
     stage = training.stages[name]
     assert made["steps"] == stage.steps
     assert made["style"]["svo"] == stage.svo
@@ -111,14 +118,14 @@ def test_each_was_trained_as_the_suite_says(suite: str, name: str) -> None:
 
 @pytest.mark.parametrize(("suite", "name"), STAGES)
 def test_each_learnt_among_the_networks_it_was_trained_against(suite: str, name: str) -> None:
-    hashes = json.dumps(manifest(suite, name)["traffic"])
+    hashes = json.dumps(manifest(name)["traffic"])
     in_traffic = set(SUITES[suite].needs[name]) - {"people"}
-    assert all(sha256(network(suite, before)) in hashes for before in in_traffic)
+    assert all(hash_of(suite, before) in hashes for before in in_traffic)
 
 
 @pytest.mark.parametrize(("suite", "name"), HUMAN_STAGES)
 def test_each_learnt_from_people_as_the_suite_says(suite: str, name: str) -> None:
-    human, made = SUITES[suite].human, manifest(suite, name)
+    human, made = SUITES[suite].human, manifest(name)
     assert human is not None
     stage = human.stages[name]
     assert made["supervised"] == human.settings_of(stage).model_dump(mode="json")
@@ -128,19 +135,19 @@ def test_each_learnt_from_people_as_the_suite_says(suite: str, name: str) -> Non
 
 
 @pytest.mark.skipif(not US101.is_dir(), reason="needs ../shared/data, human recordings")
-@pytest.mark.parametrize(("suite", "name"), RECORDED)
+@pytest.mark.parametrize(("suite", "name"), HUMAN_STAGES)
 def test_all_learnt_from_the_same_recordings_of_us_101(suite: str, name: str) -> None:
     human = SUITES[suite].human
     assert human is not None
     expected = fingerprint(
         find_trios(US101), human.samples, SUITES[suite].observed, SUITES[suite].interface
     )
-    assert manifest(suite, name)["samples"]["fingerprint"] == expected
+    assert manifest(name)["samples"]["fingerprint"] == expected
 
 
 @pytest.mark.parametrize(("suite", "name"), HUMAN_STAGES)
 def test_learning_from_people_made_each_decide_more_like_them(suite: str, name: str) -> None:
-    before, after = manifest(suite, name)["before"], manifest(suite, name)["after"]
+    before, after = manifest(name)["before"], manifest(name)["after"]
     assert after["log_likelihood"] > before["log_likelihood"]
 
 

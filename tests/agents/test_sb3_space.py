@@ -151,7 +151,7 @@ def original(env: Any) -> Any:
     while hasattr(env, "venv"):
         env = env.venv
     episodes = env.episodes.unwrapped
-    learners = episodes._learners
+    learners = episodes._episodes.learners
     return learners.observe(learners.vehicles)
 
 

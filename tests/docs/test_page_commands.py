@@ -51,8 +51,8 @@ NOT_RUN = {
     "--half selection": "takes minutes, and recordings that are not in the project",
     "python mine.py": "tests/agents/test_your_policy.py trains it",
     "charms-bench export mine.zip mine.onnx": "it is not trained here",
-    "charms-bench run ego --agent mine.onnx --agent CHECKOUT/networks/seed-3012/ppo.onnx "
-    "--agent CHECKOUT/networks/seed-3012/dqn.onnx": "it is not trained here",
+    "charms-bench run ego --agent mine.onnx --agent NETWORKS/seed-3012/ppo.onnx "
+    "--agent NETWORKS/seed-3012/dqn.onnx": "it is not trained here",
 }
 """Commands that are not run here, with the reason."""
 SHORTENED = [

@@ -314,7 +314,7 @@ def test_an_episode_can_be_tried_again_from_any_decision() -> None:
 def test_states_that_an_environment_cannot_continue_are_refused() -> None:
     env = EgoEnv(**SHORT)
     env.reset(seed=0)
-    with pytest.raises(InputError, match="expected a SceneState as the option 'state', found int"):
+    with pytest.raises(InputError, match="option 'state': found int, expected a SceneState"):
         env.reset(options={"state": 3})
     env.simulation.advance()
     with pytest.raises(InputError, match="saved 1 simulation steps after a decision"):

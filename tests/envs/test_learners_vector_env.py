@@ -10,6 +10,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from charms_bench.engine.endings import REAR_END, TIME
 from charms_bench.engine.neighbours import locate
+from charms_bench.envs.ego_env import ego_vector_env
 from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.errors import InputError
 from charms_bench.world.actions import ACTIONS, IDLE, LANE_LEFT, LANE_RIGHT
@@ -194,9 +195,10 @@ def test_what_cannot_be_is_one_message(arguments: dict[str, Any], message: str) 
         LearnersVectorEnv(2, **arguments)
 
 
-def test_reset_takes_no_options() -> None:
-    with pytest.raises(InputError, match="takes the option 'reset_mask', got state"):
-        LearnersVectorEnv(2).reset(options={"state": 1})
+def test_reset_takes_no_state_of_egos_alone() -> None:
+    state = ego_vector_env(2).get_state().scenes
+    with pytest.raises(InputError, match="the state has 1 learners in a scene; expected 3"):
+        LearnersVectorEnv(2, range(3)).reset(options={"state": state})
 
 
 def test_every_learner_has_its_mask() -> None:

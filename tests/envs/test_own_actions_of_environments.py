@@ -50,7 +50,7 @@ def test_lateral_or_longitudinal_actions_can_be_left_out(
     left_out: str, names: tuple[str, ...]
 ) -> None:
     env = gymnasium.make(ID, actions=SIX, **{left_out: False}, **ALONE)
-    assert env.unwrapped._learners.actions.names == names  # type: ignore[attr-defined]
+    assert env.unwrapped._episodes.action_names == names  # type: ignore[attr-defined]
     env.reset(seed=0)
     env.step(len(names) - 1)
     made = env.unwrapped.simulation  # type: ignore[attr-defined]

@@ -245,7 +245,7 @@ def test_learners_are_drawn_in_a_colour_of_their_own() -> None:
     assert len(frames) == 2  # one per scene
     moment = present(many.simulation, 0, "LearnersVectorEnv")
     ego = many.simulation.scene.ego[0]
-    assert [moment.agents[k] for k in many._learners.places[:8]].count("learner") == 7
+    assert [moment.agents[k] for k in many._episodes.learners.places[:8]].count("learner") == 7
     assert (moment.agents[ego], list(moment.traffic)) == ("", ["idm_mobil", "learner"])
     assert many.metadata["render_fps"] == 3
 

@@ -443,8 +443,6 @@ def test_a_reward_of_ones_own_replaces_highway_envs() -> None:
         reward, info = env.step(action)[1::3]
         assert reward == info["speed"] - 5 * (action == 0)
         assert many.step([action, 1])[1][0] == reward
-    with pytest.raises(InputError, match="reward: there are several agents; expected a function"):
-        ours("intersection-multi-agent-v1", reward=hurried)
     wrong = ours("merge-v1", reward=lambda vehicles, terms: vehicles["speed"])
     wrong.reset(seed=0)
     with pytest.raises(InputError, match=r"merge-v1: reward: found the shape \(1, 6\); expected"):

@@ -4,7 +4,8 @@ import csv
 from pathlib import Path
 
 import pytest
-from rows.cells import PROJECT, rows_of
+from rows.cells import EARLIER, PROJECT, rows_of
+from rows.history import missing
 
 DATA = Path(__file__).parent / "rows" / "data" / "suites"
 SUITES = [path.relative_to(DATA).with_suffix("").as_posix() for path in sorted(DATA.rglob("*.csv"))]
@@ -41,6 +42,8 @@ def test_each_cell_of_a_long_suite_has_its_rows(name: str, tmp_path: Path) -> No
 
 def differences(name: str, folder: Path, every: int = 1) -> str:
     """Returns what differs from the recorded rows, by cell. Columns may have been added."""
+    if name in EARLIER and (why := missing()):
+        pytest.skip(why)
     with (DATA / f"{name}.csv").open(newline="") as file:
         recorded = {(row["ego"], row["traffic"]): row for row in csv.DictReader(file)}
     egos, traffics = ([*dict.fromkeys(each)] for each in zip(*recorded, strict=True))

@@ -4,10 +4,14 @@ import json
 from pathlib import Path
 
 import pytest
+from rows.history import missing
 from rows.training import CASES
 
 pytest.importorskip("torch", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
+
+if why := missing():
+    pytest.skip(why, allow_module_level=True)
 
 RECORDED = json.loads((Path(__file__).parent / "rows" / "data" / "training.json").read_text())
 FAST = ("train: efficient_competitive", "train-baselines: imitation")

@@ -13,7 +13,7 @@ from trios import Row, write_trio
 from charms_bench.runs.likeness import of_half
 
 ROOT = Path(__file__).parents[2]
-NETWORK = ROOT / "networks" / "baselines" / "level_1.onnx"
+NETWORK = ROOT / "agents" / "charms_agents" / "policies" / "prior_level_k.onnx"
 SUITE = """\
 suite: small
 episodes: 2

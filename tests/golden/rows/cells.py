@@ -7,6 +7,7 @@ from pathlib import Path
 
 import polars as pl
 from rows.hashing import hash_of
+from rows.history import earlier_networks
 from rows.recording import write_recording
 
 from charms_bench.runs.runner import plan_cell
@@ -26,11 +27,8 @@ PARTS = {"roads": ("roads", "roads-traffic")}
 EPISODES = 20
 SHOWN = 2
 """Episodes that `shown` describes."""
-NETWORKS = [
-    *sorted(PROJECT.glob("agents/charms_agents/policies/charms_*.onnx")),
-    *sorted(PROJECT.glob("networks/seed-*/*.onnx")),
-]
-"""Of this project; they stand in for those of the paper's authors."""
+EARLIER = ("memory", "released/environment")
+"""The suites whose rows were recorded with networks that the checkout lacks."""
 Row = dict[str, str]
 """Text by name: the ego of a cell, its road and traffic model, what is shown of it, and hashes."""
 
@@ -87,10 +85,19 @@ def with_stand_ins(name: str, folder: Path) -> Suite:
         text = re.sub("episodes: .*", f"episodes: {EPISODES}", text)
     elif name.startswith("released/"):
         lacking = sorted(set(re.findall(r"networks/[\w/]+\.onnx", text)))
-        for theirs, instead in reversed([*zip(lacking, NETWORKS[: len(lacking)], strict=True)]):
+        for theirs, instead in reversed([*zip(lacking, networks(name, folder), strict=False)]):
             text = text.replace(theirs, str(instead))
+    elif name == "memory":
+        text = text.replace("../networks", str(earlier_networks(folder)))
     else:
         return load_suite(path)
     edited = folder / path.name
     edited.write_text(text)
     return load_suite(edited)
+
+
+def networks(name: str, folder: Path) -> list[Path]:
+    """Returns those of this project; they stand in for those of the paper's authors."""
+    beside = earlier_networks(folder) if name in EARLIER else PROJECT / "networks"
+    packaged = (PROJECT / "agents" / "charms_agents" / "policies").glob("charms_*.onnx")
+    return [*sorted(packaged), *sorted(beside.glob("seed-*/*.onnx"))]

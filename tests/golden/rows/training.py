@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from rows.cells import PROJECT
+from rows.history import earlier_networks
 from rows.recording import write_recording
 
 STEPS = 20_000
@@ -61,22 +62,24 @@ def trained_here(suite_name: str, name: str, folder: Path) -> str:
     samples = None
     if human is not None and human.drivers == "recorded":
         samples = _sample_store(path, suite, folder, recordings)
+    networks = earlier_networks(folder)
     finished = {
-        each: SimpleNamespace(file=partial(network_of, suite_name, each)) for each in suite.names
+        each: SimpleNamespace(file=partial(network_of, networks, suite_name, each))
+        for each in suite.names
     }
     job = _make_job(folder, path.parent, {"": suite}, samples, name, finished)
     train_stage(job, "", lambda *told: None, lambda: False)
     return hashlib.sha256(job.file(".onnx").read_bytes()).hexdigest()
 
 
-def network_of(suite: str, stage: str, ending: str) -> Path:
+def network_of(networks: Path, suite: str, stage: str, ending: str) -> Path:
     """Returns a file of a finished stage, from which others start or which drives among them."""
     packaged = PROJECT / "agents" / "charms_agents" / "policies"
     if suite == "train":
-        kept = PROJECT / "networks" / "seed-3012" / f"{stage}{ending}"
+        kept = networks / "seed-3012" / f"{stage}{ending}"
         return kept if kept.exists() else packaged / kept.name
     if stage == "level_1":
-        return PROJECT / "networks" / "baselines" / f"level_1{ending}"
+        return networks / "baselines" / f"level_1{ending}"
     return packaged / f"prior_level_k{ending}"
 
 
