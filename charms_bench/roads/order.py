@@ -7,9 +7,15 @@ places. So a question about a vehicle costs the same, however many vehicles ther
 """
 
 from charms_bench.foundation.compiled import compiled, inlined, row_after
-from charms_bench.roads.locating import coordinates_of, is_further_beside, is_known, square_of
+from charms_bench.roads.locating import (
+    coordinates_of,
+    is_further_beside,
+    is_known,
+    square_of,
+    width_on,
+)
 from charms_bench.roads.scenes import OBSTACLE, Here, Row, lane_of, vehicle_of
-from charms_bench.world.lane_geometry import END_MARGIN_M
+from charms_bench.world.lane_geometry import END_MARGIN_M, POLYLINE
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M
 
 FEW_LISTED = 8
@@ -187,6 +193,8 @@ def is_on(here: Here, j: int, lane: int) -> bool:
     if not is_known(here, j, lane) and is_further_beside(row, vehicle_of(here, j), beside):
         return False
     at = coordinates_of(here, j, lane)
+    if row.kind == POLYLINE:
+        beside = width_on(here, row, at.s) / 2 + NEIGHBOUR_MARGIN_M
     return bool(abs(at.r) <= beside and -END_MARGIN_M <= at.s < row.length + END_MARGIN_M)
 
 

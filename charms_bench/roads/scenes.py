@@ -52,8 +52,8 @@ def _table(**names: str) -> "np.dtype[Any]":
 VEHICLE = _table(
     floats="x y heading direction_x direction_y speed acceleration steering length width "
     "target_speed timer_s exponent impact_x impact_y speed_min speed_max lateral_speed yaw_rate "
-    "free_acceleration",
-    integers="kind lane target_lane speed_index route_step route_end",
+    "free_acceleration goal_s stood_s",
+    integers="kind lane target_lane speed_index route_step route_end goal",
     booleans="crashed has_impact changes_lanes checks_collisions is_yielding",
     routes="route_roads route_numbers",
     gains="gains",
@@ -68,7 +68,8 @@ says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles coll
 dynamical vehicle has a `lateral_speed` and a `yaw_rate`. `free_acceleration` is the first part of
 IDM, of an IDM vehicle in the present step. A route is a list of steps: the first lane
 of a road between two nodes, and the number of the lane on it, -1 if it is open. The vehicle's next
-step is `route_step`, and before `route_end` is the last."""
+step is `route_step`, and before `route_end` is the last. On a road of a file, its `goal` is one of
+`Routes.goals`, -1 for none, so far along its road; and so long it has stood, s."""
 COORDINATES = _table(floats="s r", integers="key")
 """How far a vehicle is along and beside a lane, m. The key is that of the lane and of the vehicle's
 last move, for which it was computed."""
@@ -116,11 +117,12 @@ X, Y, COSINE, SINE = _WAY
 all of them at once."""
 CONSTANTS = _table(
     floats=" ".join((*Constants._fields[:-1], *IdmMobilParameters._fields)),
-    integers="regulation_steps is_linear",
+    integers="regulation_steps is_linear looks_ahead",
 )
 """`Constants` and `IdmMobilParameters`, one after the other. After so many simulation steps,
 vehicles look who has the right of way; 0 if they never do. `is_linear` says whether the vehicles
-that decide by IDM elsewhere are linear."""
+that decide by IDM elsewhere are linear. Where a road `looks_ahead`, they brake before slower
+lanes of their routes."""
 
 
 @compiled
@@ -199,8 +201,9 @@ class Scenes(_Fields):
         constants: Constants,
         regulation_steps: int = 0,
         gains: Floats | None = None,
+        looks_ahead: bool = False,
     ) -> "Scenes":
-        """Scenes without vehicles, on a road without polylines.
+        """Scenes without vehicles.
 
         `connects` says whether neighbours are also sought on connected lanes
         [`neighbour_vehicles_connected_lanes`]. With `gains`, vehicles are linear.
@@ -211,7 +214,8 @@ class Scenes(_Fields):
         room = (LISTS + 2 * most) * places
         in_order = np.zeros(places, ORDER)
         in_order["place"] = np.arange(places)
-        numbers = *constants[:-1], *constants.idm_mobil, regulation_steps, gains is not None
+        of_all = *constants[:-1], *constants.idm_mobil
+        numbers = *of_all, regulation_steps, gains is not None, looks_ahead
         visited = np.zeros(places, VISITED)
         visited["along"] = visited["by_x"] = np.arange(places)
         clock = np.zeros(1, CLOCK)
@@ -242,7 +246,11 @@ class Scenes(_Fields):
 
 def _searches(road: Network, connects: bool) -> dict[str, NDArray[np.void]]:
     """The lanes of `Road.neighbour_vehicles`, in its order."""
-    table, roads = road.lanes, np.unique(road.lanes["first"])
+    table, roads = road.lanes, np.unique(road.lanes["first"]).tolist()
+    before: dict[int, list[int]] = {first: [] for first in roads}
+    for first in roads if connects else ():
+        for following in _following(road, first):
+            before[following].append(first)
     connected: list[tuple[int, int, float]] = []
     searches = []
     for lane, row in enumerate(table):
@@ -250,10 +258,9 @@ def _searches(road: Network, connects: bool) -> dict[str, NDArray[np.void]]:
         found = [(lane, 0.0)]
         for following in _following(road, lane) if connects else ():
             found.append((_same_number(table, following, number), row["length"]))
-        for before in roads if connects else ():
-            if row["first"] in _following(road, before):
-                previous = _same_number(table, before, number)
-                found.append((previous, -table["length"][previous]))
+        for each in before[int(row["first"])]:
+            previous = _same_number(table, each, number)
+            found.append((previous, -table["length"][previous]))
         by_offset = sorted(range(len(found)), key=[offset for _, offset in found].__getitem__)
         connected += [
             (each, first + k, offset) for (each, offset), k in zip(found, by_offset, strict=True)
@@ -282,6 +289,7 @@ class Here(NamedTuple):
     places: int
     coordinates: Row
     lanes: Row
+    curves: Row
     lane_count: int
     connected: Row
     searches: Row
@@ -305,6 +313,7 @@ def here_of(scenes: Scenes, b: int) -> Here:
         scenes.vehicles.shape[1],
         scenes.coordinates[0],
         scenes.road.lanes[0],
+        scenes.road.curves[0],
         scenes.road.lanes.size,
         scenes.connected[0],
         scenes.searches[0],
@@ -375,6 +384,23 @@ def place(
     scenes: Scenes, b: int, i: int, kind: int, x: float, y: float, heading: float, speed: float
 ) -> None:
     """Puts a vehicle or an obstacle at a place of scene b [`IDMVehicle.__init__`, `MDPVehicle`]."""
+    lane = closest_lane(scenes.road, x, y, heading)
+    place_near(scenes, b, i, kind, lane, x, y, heading, speed)
+
+
+@compiled
+def place_near(
+    scenes: Scenes,
+    b: int,
+    i: int,
+    kind: int,
+    lane: int,
+    x: float,
+    y: float,
+    heading: float,
+    speed: float,
+) -> None:
+    """As `place`, where the nearest lane is known."""
     vehicle, c = scenes.vehicles[b, i], scenes.constants[0]
     vehicle.kind = kind
     vehicle.x, vehicle.y, vehicle.heading, vehicle.speed = x, y, heading, speed
@@ -389,8 +415,9 @@ def place(
     vehicle.exponent = IDM_EXPONENT
     for k in range(GAINS):
         vehicle.gains[k] = scenes.gains[0, k]
-    vehicle.lane = vehicle.target_lane = closest_lane(scenes.road, x, y, heading)
+    vehicle.lane = vehicle.target_lane = lane
     vehicle.route_step = vehicle.route_end = 0
+    vehicle.goal, vehicle.goal_s, vehicle.stood_s = -1, 0.0, 0.0
     vehicle.crashed = vehicle.has_impact = vehicle.is_yielding = False
     vehicle.changes_lanes = vehicle.checks_collisions = True
     if kind == COMMANDED:

@@ -16,6 +16,7 @@ from charms_bench.roads.dynamics import (
     turn_batch,
 )
 from charms_bench.roads.locating import forget, locate
+from charms_bench.roads.looking_ahead import look_ahead
 from charms_bench.roads.right_of_way import enforce
 from charms_bench.roads.scenes import (
     BATCH,
@@ -72,6 +73,8 @@ def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: flo
 def advance(road: Network, steps: Ints, b: int, here: Here, frames: int) -> None:
     """Advances scene b by so many simulation steps; `steps` (B,) are those of `Scenes`."""
     for _ in range(frames):
+        if here.constants.looks_ahead:
+            look_ahead(here)
         act(road, here)
         if here.constants.regulation_steps:
             steps[b] += 1

@@ -37,6 +37,8 @@ class Task(ABC):
     """The constants of `IdmMobilParameters` that are particular to the environment."""
     regulation_steps = 0
     """After so many simulation steps, vehicles look who has the right of way; 0 if never."""
+    looks_ahead = False
+    """Whether IDM vehicles brake before slower lanes of their routes."""
     takes_types = True
     """Whether the vehicles other than the egos are of the type `other_vehicles_type`."""
     has_goal = True

@@ -1,4 +1,4 @@
-"""The roads of a suite: highway-env's, each with a configuration and an episode's duration."""
+"""The roads of a suite: highway-env's and files, with their configurations and durations."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -8,7 +8,7 @@ from pydantic import ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.foundation.fields import UNLESS_EMPTY, Name, Positive
-from charms_bench.world.named_road import ENVIRONMENT, NamedRoad
+from charms_bench.world.named_road import ENVIRONMENT, FILE_ROAD, NamedRoad
 
 
 class RoadEntry(NamedRoad):
@@ -18,7 +18,7 @@ class RoadEntry(NamedRoad):
     """Duration of an episode, unless it ends before. By default, it is `scene.duration_s`, and
     without that, the duration of the environment."""
     label: Name | None = None
-    """Its name in tables; by default highway-env's."""
+    """Its name in tables; by default highway-env's, or that of the file."""
 
     @model_validator(mode="before")
     @classmethod
@@ -33,7 +33,7 @@ class RoadEntry(NamedRoad):
     @property
     def road(self) -> NamedRoad:
         """The road itself."""
-        return NamedRoad(name=self.name, configuration=self.configuration)
+        return NamedRoad(**{name: getattr(self, name) for name in NamedRoad.model_fields})
 
 
 def with_own_duration(road: Any) -> Any:
@@ -43,7 +43,7 @@ def with_own_duration(road: Any) -> Any:
     entry = {"name": road} if isinstance(road, str) else road
     if not isinstance(entry, dict) or "duration_s" in entry:
         return road
-    duration_s = duration_of(str(entry.get("name")))
+    duration_s = duration_of(FILE_ROAD if "file" in entry else str(entry.get("name")))
     return road if duration_s is None else {**entry, "duration_s": duration_s}
 
 
