@@ -122,12 +122,12 @@ def act_as_idm(here: Here, i: int) -> None:
     vehicle, limit = vehicle_of(here, i), here.constants.acceleration_limit_mps2
     front, rear = neighbours(here, i, vehicle.lane)
     free = vehicle.free_acceleration
-    own = own_acceleration(here, i, front, free)
+    own = following_acceleration(here, i, front, free)
     if vehicle.changes_lanes:
         choose_lane(here, i, free, own, front, rear)
     if vehicle.lane != vehicle.target_lane:
         front, _ = neighbours(here, i, vehicle.target_lane)
-        own = min(own, own_acceleration(here, i, front, free))
+        own = min(own, following_acceleration(here, i, front, free))
     vehicle.acceleration = clip(own, -limit, limit)
 
 
@@ -282,6 +282,21 @@ def own_acceleration(here: Here, i: int, j: int, free: float) -> float:
     if here.constants.is_linear:
         return linear_acceleration(here, i, j, i)
     return free - interaction(here, i, j)
+
+
+@inlined
+def following_acceleration(here: Here, i: int, j: int, free: float) -> float:
+    """The acceleration of vehicle i behind its neighbour j, which has just been found.
+
+    Where a road `looks_ahead`, the distance and the closing speed are those along the lanes.
+    highway-env measures both along the vehicle's own lane and heading, so that after a turn, a
+    vehicle far away can seem to be close.
+    """
+    if not here.constants.looks_ahead or j < 0:
+        return own_acceleration(here, i, j, free)
+    speed, p = vehicle_of(here, i).speed, here.constants
+    wanted = desired_gap(speed, speed - vehicle_of(here, j).speed, p)
+    return free - idm_mobil.interaction(wanted, here.clock.gap, p.acceleration_mps2)
 
 
 @inlined

@@ -104,7 +104,7 @@ class Episodes:
             constants._replace(idm_mobil=idm),
             self.task.regulation_steps,
             linear.gains if linear else None,
-            self.task.looks_ahead,
+            self.task.links,
         )
         for b in range(count):
             for i, each in enumerate(self.task.objects, self.task.vehicles):

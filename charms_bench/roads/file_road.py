@@ -22,11 +22,18 @@ from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
 from charms_bench.roads.fault import NO_RANK
+from charms_bench.roads.giving_way import (
+    MOST_AHEAD,
+    Ahead,
+    Meetings,
+    give_way,
+    look_along,
+    meetings_of,
+)
 from charms_bench.roads.layout import Edge
 from charms_bench.roads.locating import forget, locate
 from charms_bench.roads.looking_ahead import speed_ahead
 from charms_bench.roads.map_lanes import driven_lanes, map_of
-from charms_bench.roads.right_of_way import FREQUENCY_HZ
 from charms_bench.roads.routes import Routes, plan_way, routes_of
 from charms_bench.roads.scenes import (
     COMMANDED,
@@ -49,7 +56,11 @@ SPACE_M, HEADWAY_S = 8.0, 1.5
 """Around a vehicle that appears, there is as much space, and along its lane as much more time."""
 DRAWS, ENTERING_DRAWS = 200, 5
 """So often, a place is drawn at the start, and by a vehicle that comes back."""
-STANDING_MPS = 0.1
+NARROW_M = 2.5
+"""Where a lane is narrower, such as at its beginning beside others, no vehicle appears."""
+BETWEEN_M = 20.0
+"""A shorter lane between junctions is part of them: a vehicle that waits there is in the way."""
+STANDING_MPS = 0.5
 WRECK_S, STANDING_S = 10.0, 120.0
 ENTRY_M = 5.0
 """How far a vehicle that comes back is along its lane."""
@@ -79,15 +90,33 @@ class FileRoad(Task):
 
     terms = ()
     comes_and_goes = True
-    looks_ahead = True
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         self._map = map_of(Path(config["file"]), config["sha256"])
         super().__init__(config)
-        hz, road = config["simulation_frequency"], self.layout.network
-        if self._map.conflicts:
-            self.regulation_steps = int(1 / (1 / hz) / FREQUENCY_HZ)
-        links, is_inside = _links(self._map, self.layout.lanes), self._is_inside
+        road = self.layout.network
+        indices = {
+            lane.id: self.layout.lanes[each.start, each.end, k]
+            for each in self._map.roads
+            for k, lane in enumerate(each.lanes)
+        }
+        links: list[list[int]] = [[] for _ in indices]
+        inside = np.zeros(len(indices), dtype=np.int64)
+        for each in self._map.roads:
+            for lane in each.lanes:
+                links[indices[lane.id]] = [indices[after] for after in lane.successors]
+                inside[indices[lane.id]] = bool(each.junction)
+        is_inside = inside > 0
+        before: list[list[int]] = [[] for _ in indices]
+        for lane, each in enumerate(links):
+            for after in each:
+                before[after].append(lane)
+        for lane in np.nonzero(~is_inside & (road.lanes["length"] < BETWEEN_M))[0]:
+            beside = [*links[lane], *before[lane]]
+            inside[lane] = bool(links[lane] and before[lane]) and bool(is_inside[beside].all())
+        self.links = links
+        self._meetings, self._inside = meetings_of(self._map, indices), inside
+        self._red = np.zeros(len(indices), dtype=np.int64)
         firsts = np.unique(road.lanes["first"])
         outside = firsts[~is_inside[firsts]]
         self._routes = routes_of(road, links, outside if outside.size else firsts)
@@ -109,17 +138,12 @@ class FileRoad(Task):
         self.happened = np.zeros((0, 0), dtype=np.int64)
         """(B, N) what happened to each vehicle after the last decision; 0 is nothing."""
 
-    @property
-    def _is_inside(self) -> Bools:
-        """(L,) whether each lane is in a junction."""
-        inside = [bool(road.junction) for road in self._map.roads for _ in road.lanes]
-        return np.array(inside, dtype=np.bool_)
-
     def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
         return driven_lanes(self._map)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._rule, self._everywhere, self._routes)
+        self._regulate(scenes, rows)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         """There is no reward; environments have their own."""
@@ -132,6 +156,12 @@ class FileRoad(Task):
         at_start = self._starts is not None
         lists = self._links, self._ends
         _follow(scenes, rows, self._rule, starts, at_start, lists, self._routes, self.happened)
+        self._regulate(scenes, rows)
+
+    def _regulate(self, scenes: Scenes, rows: Ints) -> None:
+        """Says where vehicles stop."""
+        lists = self._links, self._ends
+        _regulate(scenes, rows, lists, self._meetings, self._inside, self._red)
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the road of its goal, as far along as that is."""
@@ -142,19 +172,6 @@ class FileRoad(Task):
         priority = scenes.road.lanes["priority"]
         known = any(each.gives_way for each in self._map.conflicts)
         return np.where(known, priority, NO_RANK)
-
-
-def _links(road: Any, lanes: Mapping[Any, int]) -> list[list[int]]:
-    """The lanes that follow each lane (L)."""
-    indices = {
-        lane.id: lanes[each.start, each.end, k]
-        for each in road.roads
-        for k, lane in enumerate(each.lanes)
-    }
-    found: list[list[int]] = [[] for _ in indices]
-    for lane in road.lanes:
-        found[indices[lane.id]] = [indices[after] for after in lane.successors]
-    return found
 
 
 def _places(lanes: Ints, weights: Floats) -> Places:
@@ -195,6 +212,8 @@ def is_free(scenes: Scenes, b: int, i: int, lane: int, s: float) -> bool:
     road = scenes.road
     x, y = position(road, lane, s, 0.0)
     limit, half = road.lanes[lane].speed_limit, width_at(road, lane, s) / 2
+    if half < NARROW_M / 2:
+        return False
     for j in range(scenes.vehicles.shape[1]):
         other = scenes.vehicles[b, j]
         dx, dy = other.x - x, other.y - y
@@ -401,6 +420,32 @@ def step_before(vehicle: Any, first: int, number: int) -> None:
         vehicle.route_numbers[k] = vehicle.route_numbers[k - 1]
     vehicle.route_roads[0], vehicle.route_numbers[0] = first, number
     vehicle.route_end = count
+
+
+@compiled_of_scenes
+def _regulate(
+    scenes: Scenes,
+    rows: Ints,
+    links: tuple[Ints, Ints],
+    meetings: Meetings,
+    inside: Ints,
+    is_red: Ints,
+) -> None:
+    """Says where the vehicles of the scenes `rows` stop."""
+    count = scenes.vehicles.shape[1]
+    ahead = Ahead(
+        np.zeros((count, MOST_AHEAD), dtype=np.int64),
+        np.zeros((count, MOST_AHEAD)),
+        np.zeros(count, dtype=np.int64),
+        np.zeros(scenes.road.lanes.size, dtype=np.int64),
+        np.zeros(count * MOST_AHEAD, dtype=np.int64),
+        np.zeros(count),
+        np.zeros(count, dtype=np.int64),
+        np.zeros(count, dtype=np.bool_),
+    )
+    for b in rows:
+        look_along(scenes, b, links, ahead)
+        give_way(scenes, b, meetings, inside, is_red, ahead)
 
 
 @compiled_of_scenes

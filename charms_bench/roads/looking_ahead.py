@@ -1,4 +1,4 @@
-"""How fast a vehicle may be so that it can brake before slower lanes of its route."""
+"""How fast a vehicle may be so that it can brake before slower lanes and where it has to stop."""
 
 import math
 
@@ -23,12 +23,16 @@ def look_ahead(here: Here) -> None:
 def speed_ahead(here: Here, i: int) -> float:
     """The highest speed from which vehicle i can brake before each lane ahead, m/s.
 
-    At `BRAKING_MPS2`, to the limits of the lanes that begin within `HORIZON_M`.
+    At `BRAKING_MPS2`, to the limits of the lanes that begin within `HORIZON_M`, and to a standstill
+    where it stops.
     """
     vehicle = vehicle_of(here, i)
-    row = lane_of(here, vehicle.lane)
+    row, stops = lane_of(here, vehicle.lane), vehicle.stop_lane
     speed, number = float(row.speed_limit), vehicle.lane - row.first
-    distance = row.length - coordinates_of(here, i, vehicle.lane).s
+    s = coordinates_of(here, i, vehicle.lane).s
+    distance = row.length - s
+    if stops >= 0 and lane_of(here, stops).first == row.first:
+        return min(speed, math.sqrt(2 * BRAKING_MPS2 * max(vehicle.stop_s - s, 0.0)))
     for step in range(vehicle.route_step, vehicle.route_end):
         first, given = vehicle.route_roads[step], vehicle.route_numbers[step]
         if first == row.first:
@@ -38,7 +42,10 @@ def speed_ahead(here: Here, i: int) -> float:
         following = lane_of(here, first)
         number = min(number if given < 0 else given, following.lanes - 1)
         ahead = lane_of(here, first + number)
-        allowed = math.sqrt(ahead.speed_limit**2 + 2 * BRAKING_MPS2 * max(distance, 0.0))
-        speed = min(speed, allowed)
+        limit, way = ahead.speed_limit, max(distance, 0.0)
+        speed = min(speed, math.sqrt(limit * limit + 2 * BRAKING_MPS2 * way))
+        if stops >= 0 and lane_of(here, stops).first == first:
+            way = max(distance + vehicle.stop_s, 0.0)
+            return min(speed, math.sqrt(2 * BRAKING_MPS2 * way))
         distance += ahead.length
     return speed

@@ -10,6 +10,7 @@ import numpy as np
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Floats
+from charms_bench.maps.joining import joined
 from charms_bench.maps.reading import read_road
 from charms_bench.maps.road_map import MapLane, RoadMap
 from charms_bench.roads.layout import Edge
@@ -40,7 +41,7 @@ def map_of(path: Path, sha256: str) -> RoadMap:
             f"{path}: the road has changed since the settings were made; expected a file with the "
             f"hash {sha256[:12]}, found {str(now)[:12]}"
         )
-    found = read_road(path)
+    found = joined(read_road(path))
     count = sum(len(road.lanes) for road in found.roads)
     if count > MOST_LANES:
         raise InputError(
@@ -87,7 +88,8 @@ def priorities_of(road: RoadMap) -> dict[str, int]:
     """The priority of each lane that has one: it is above those of the lanes that give way to it.
 
     The lanes that lead there, up to `APPROACH_M` before, have the highest of theirs, as at
-    highway-env's intersection. Where lanes give way to each other in a circle, `RANKS` levels are the end.
+    highway-env's intersection. Where lanes give way to each other in a circle, `RANKS` levels are
+    the end.
     """
     before: dict[str, list[str]] = {}
     for lane in road.lanes:

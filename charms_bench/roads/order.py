@@ -27,7 +27,7 @@ def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
     """The nearest vehicles or obstacles ahead and behind on a lane, -1 for none.
 
     Of several at one position, that ahead is the last one in the table of vehicles, and that behind
-    the first one [`Road.neighbour_vehicles`].
+    the first one [`Road.neighbour_vehicles`]. How far the one ahead is along the lanes is noted.
     """
     clock, search, s = here.clock, row_after(here.searches, lane), coordinates_of(here, i, lane).s
     if clock.sorted != clock.moves or search.listed != clock.lists:
@@ -50,6 +50,7 @@ def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
             break
         if listed.place != i:
             front, s_front = listed.place, listed.s
+    clock.gap = s_front - s
     for k in range(low - 1, search.start - 1, -1):
         listed = row_after(here.listed, k)
         if rear >= 0 and listed.s != s_rear:

@@ -4,7 +4,7 @@ A way follows lanes and changes between neighbours. For each goal and each lane,
 the way goes on, so that it costs the same memory however many vehicles there are. A vehicle has the
 next steps of its way as a route of highway-env: the first lane of a road, and the number of a lane
 on it. The number is left open where every lane of the road leads on for `OPEN_M` without a lane
-change.
+change, and no road before has more lanes: highway-env predicts that vehicles keep the number.
 """
 
 from collections.abc import Sequence
@@ -102,9 +102,11 @@ def _fill_free(
 @compiled
 def plan_way(vehicle: Row, road: Network, routes: Routes, lane: int) -> None:
     """Gives a vehicle the next steps of its way from a lane; none without a goal."""
-    g, count = vehicle.goal, 0
+    g, count, widest = vehicle.goal, 0, road.lanes[vehicle.lane].lanes
     while g >= 0 and count < ROUTE_STEPS and routes.distance[g, lane] < np.inf:
-        first, is_open = road.lanes[lane].first, True
+        first = road.lanes[lane].first
+        widest = max(widest, road.lanes[first].lanes)
+        is_open = road.lanes[first].lanes == widest
         while routes.free[g, lane] == 0.0 and routes.following[g, lane] >= 0:
             lane = routes.following[g, lane]
         for k in range(first, first + road.lanes[first].lanes):
