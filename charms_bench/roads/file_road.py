@@ -33,7 +33,7 @@ from charms_bench.roads.giving_way import (
 from charms_bench.roads.layout import Edge
 from charms_bench.roads.locating import forget, locate
 from charms_bench.roads.looking_ahead import speed_ahead
-from charms_bench.roads.map_lanes import driven_lanes, map_of
+from charms_bench.roads.map_lanes import driven_lanes, levels_of, map_of
 from charms_bench.roads.routes import Routes, plan_way, routes_of
 from charms_bench.roads.scenes import (
     COMMANDED,
@@ -106,6 +106,8 @@ class FileRoad(Task):
             for lane in each.lanes:
                 links[indices[lane.id]] = [indices[after] for after in lane.successors]
                 inside[indices[lane.id]] = bool(each.junction)
+        for name, level in levels_of(self._map).items():
+            road.lanes["level"][indices[name]] = level
         is_inside = inside > 0
         before: list[list[int]] = [[] for _ in indices]
         for lane, each in enumerate(links):
@@ -253,7 +255,7 @@ def appear(
     if kind == IDM:
         vehicle.goal = draw_goal(scenes, b, routes, vehicle.lane, 0.0, np.inf)
         draw_behaviour(scenes, b, i)
-    plan_way(vehicle, scenes.road, routes, vehicle.lane)
+    plan_way(vehicle, scenes.road, routes, vehicle.lane, True)
     vehicle.speed = speed_ahead(here, i)
     if kind == IDM:
         vehicle.target_speed = vehicle.speed
@@ -405,10 +407,10 @@ def find_route(
             is_lost = not routes.distance[vehicle.goal, after] < np.inf
             if i >= rule.egos or is_lost:
                 vehicle.goal = draw_goal(scenes, b, routes, after, 0.0, np.inf)
-            plan_way(vehicle, road, routes, after)
+            plan_way(vehicle, road, routes, after, False)
             step_before(vehicle, row.first, lane - row.first)
             return
-    plan_way(vehicle, road, routes, lane)
+    plan_way(vehicle, road, routes, lane, True)
 
 
 @compiled

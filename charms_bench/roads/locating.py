@@ -74,6 +74,13 @@ def width_on(here: Here, lane: Row, s: float) -> float:
 
 
 @inlined
+def are_above(here: Here, one: int, other: int) -> bool:
+    """Whether a lane crosses above or below another one."""
+    level, other_level = lane_of(here, one).level, lane_of(here, other).level
+    return bool(level != other_level and level > 0 and other_level > 0)
+
+
+@inlined
 def forget(here: Here, i: int) -> None:
     """Forgets the coordinates of a vehicle that has moved."""
     here.clock.moves += 1

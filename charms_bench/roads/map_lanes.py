@@ -1,4 +1,4 @@
-"""The lanes of a road map as vehicles drive on them: limits in curves, and right of way."""
+"""The lanes of a road map as vehicles drive on them: limits in curves, right of way, and levels."""
 
 import math
 from collections.abc import Iterator
@@ -10,9 +10,11 @@ import numpy as np
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Floats
+from charms_bench.maps.conflicts import LEVEL_M, conflicts_of
 from charms_bench.maps.joining import joined
 from charms_bench.maps.reading import read_road
 from charms_bench.maps.road_map import MapLane, RoadMap
+from charms_bench.maps.sampling import lengths_of
 from charms_bench.roads.layout import Edge
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.road_network import CircularLane, StraightLane
@@ -23,6 +25,8 @@ CURVE_M = 4.0
 """The radius of a curve is that of so long a part of a lane."""
 MOST_LANES = 10_000
 APPROACH_M = 50.0
+FLAT = (1.0, 1.0, 0.0, 1.0)
+"""x, y and width of a point, without its height."""
 RANKS = 10
 """The most levels of priority."""
 
@@ -112,4 +116,33 @@ def priorities_of(road: RoadMap) -> dict[str, int]:
             if earlier not in given and found.get(earlier, -1) < found[lane]:
                 found[earlier] = found[lane]
                 edge.append((earlier, along + lengths[earlier]))
+    return found
+
+
+def levels_of(road: RoadMap) -> dict[str, int]:
+    """The level of each lane that crosses another one above or below it, from 1 on.
+
+    Lanes of different levels have nothing to do with each other.
+    """
+    heights = [lane.points[:, 2] for lane in road.lanes]
+    if max(each.max() for each in heights) - min(each.min() for each in heights) < LEVEL_M:
+        return {}
+    flat = [
+        replace(each, lanes=tuple(replace(lane, points=lane.points * FLAT) for lane in each.lanes))
+        for each in road.roads
+    ]
+    at_one_level = {frozenset(each.lanes) for each in road.conflicts}
+    lanes, found = {lane.id: lane for lane in road.lanes}, {}
+    pairs = []
+    for each in conflicts_of(flat, set()):
+        if each.kind == "crossing" and frozenset(each.lanes) not in at_one_level:
+            height = [
+                float(np.interp(at, lengths_of(lanes[name].points), lanes[name].points[:, 2]))
+                for name, at in zip(each.lanes, each.at, strict=True)
+            ]
+            pairs.append(each.lanes if height[0] < height[1] else each.lanes[::-1])
+            found |= dict.fromkeys(each.lanes, 1)
+    for _ in range(RANKS):
+        for low, high in pairs:
+            found[high] = max(found[high], found[low] + 1)
     return found

@@ -8,6 +8,7 @@ places. So a question about a vehicle costs the same, however many vehicles ther
 
 from charms_bench.foundation.compiled import compiled, inlined, row_after
 from charms_bench.roads.locating import (
+    are_above,
     coordinates_of,
     is_further_beside,
     is_known,
@@ -196,7 +197,9 @@ def is_on(here: Here, j: int, lane: int) -> bool:
     at = coordinates_of(here, j, lane)
     if row.kind == POLYLINE:
         beside = width_on(here, row, at.s) / 2 + NEIGHBOUR_MARGIN_M
-    return bool(abs(at.r) <= beside and -END_MARGIN_M <= at.s < row.length + END_MARGIN_M)
+    if not (abs(at.r) <= beside and -END_MARGIN_M <= at.s < row.length + END_MARGIN_M):
+        return False
+    return not are_above(here, vehicle_of(here, j).lane, lane)
 
 
 @compiled

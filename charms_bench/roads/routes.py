@@ -3,8 +3,8 @@
 A way follows lanes and changes between neighbours. For each goal and each lane, a table says where
 the way goes on, so that it costs the same memory however many vehicles there are. A vehicle has the
 next steps of its way as a route of highway-env: the first lane of a road, and the number of a lane
-on it. The number is left open where every lane of the road leads on for `OPEN_M` without a lane
-change, and no road before has more lanes: highway-env predicts that vehicles keep the number.
+on it. On the vehicle's own road, the number is left open where every lane of the road leads on for
+`OPEN_M` without a lane change.
 """
 
 from collections.abc import Sequence
@@ -100,19 +100,25 @@ def _fill_free(
 
 
 @compiled
-def plan_way(vehicle: Row, road: Network, routes: Routes, lane: int) -> None:
-    """Gives a vehicle the next steps of its way from a lane; none without a goal."""
-    g, count, widest = vehicle.goal, 0, road.lanes[vehicle.lane].lanes
+def plan_way(vehicle: Row, road: Network, routes: Routes, lane: int, is_there: bool) -> None:
+    """Gives a vehicle the next steps of its way from a lane; none without a goal.
+
+    `is_there` says whether the vehicle is on the lane. On each road to come, it should take the
+    lane to which its way leads.
+    """
+    g, count = vehicle.goal, 0
+    widest = road.lanes[vehicle.lane].lanes
     while g >= 0 and count < ROUTE_STEPS and routes.distance[g, lane] < np.inf:
         first = road.lanes[lane].first
-        widest = max(widest, road.lanes[first].lanes)
-        is_open = road.lanes[first].lanes == widest
+        number = lane - first
         while routes.free[g, lane] == 0.0 and routes.following[g, lane] >= 0:
             lane = routes.following[g, lane]
-        for k in range(first, first + road.lanes[first].lanes):
-            is_open = is_open and routes.free[g, k] >= OPEN_M
-        vehicle.route_roads[count] = first
-        vehicle.route_numbers[count] = -1 if is_open else lane - first
+        if is_there and count == 0:
+            number, is_open = lane - first, road.lanes[first].lanes >= widest
+            for k in range(first, first + road.lanes[first].lanes):
+                is_open = is_open and routes.free[g, k] >= OPEN_M
+            number = -1 if is_open else number
+        vehicle.route_roads[count], vehicle.route_numbers[count] = first, number
         count += 1
         lane = routes.following[g, lane]
         if lane < 0:
