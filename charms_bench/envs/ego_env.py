@@ -144,8 +144,7 @@ def surroundings(
     if road is not None:
         from charms_bench.roads.defaults import duration_of  # slow to import, as the settings below
 
-        name = road if isinstance(road, str) else road.get("name")
-        plain = {"profile": ROADS.name, "duration_s": duration_of(str(name)), **plain}
+        plain = {"profile": ROADS.name, "duration_s": duration_of(road), **plain}
     if traffic is None:
         traffic = "idm_mobil" if road is None else ENVIRONMENT
     if isinstance(traffic, Mapping) and "road" in traffic:

@@ -70,12 +70,12 @@ def _cut(lanes: tuple[MapLane, ...], count: int) -> list[tuple[MapLane, ...]]:
     """The lanes in so many parts of equal length, or in more where one of them turns back."""
     while True:
         parts = [lanes] if count == 1 else [*zip(*(_parts(each, count) for each in lanes))]  # noqa: B905
-        if count >= MOST_PARTS or not any(_turns_back(lane) for part in parts for lane in part):
+        if count >= MOST_PARTS or not any(turns_back(lane) for part in parts for lane in part):
             return parts
         count *= 2
 
 
-def _turns_back(lane: MapLane) -> bool:
+def turns_back(lane: MapLane) -> bool:
     """Whether a point of a lane is not behind all later points, as seen along the lane there.
 
     highway-env looks for a position from the end of a polyline on [`LinearSpline2D`].

@@ -45,6 +45,8 @@ TASKS = {
     "intersection-multi-agent-v2": "intersection:Intersection",
 }
 """The modules and classes of the environments by highway-env's names."""
+OF_FILES = "file_road:FileRoad"
+"""Those of roads in files."""
 
 _NOT_OF_SUITES = ("parking", "lane-keeping", "intersection-multi-agent")
 OF_SUITES = tuple(name for name in TASKS if not name.startswith(_NOT_OF_SUITES))

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from charms_bench.world.named_road import FILE_ROAD
+
 Config = Mapping[str, Any]
 _COMMON: dict[str, Any] = {
     "observation": {"type": "Kinematics"},
@@ -271,6 +273,16 @@ _INTERSECTION_MULTI_AGENT = _INTERSECTION | {
 }
 _CONNECTED = {"neighbour_vehicles_connected_lanes": True}
 """[`ConnectedLaneNeighboursMixin.default_config`]"""
+_FILE_ROAD = _COMMON | {
+    "file": "",
+    "sha256": "",
+    "density": 10,
+    "controlled_vehicles": 1,
+    "duration": 40,
+    "policy_frequency": 5,
+    **_CONNECTED,
+}
+"""A road in a file, with so many vehicles per km of lane; not an environment of highway-env."""
 _VERSIONS = {
     "merge": _MERGE,
     "merge-generic": _MERGE_GENERIC,
@@ -300,6 +312,7 @@ DEFAULTS: Mapping[str, Config] = MappingProxyType(
         "intersection-multi-agent-v0": _INTERSECTION_MULTI_AGENT,
         "intersection-multi-agent-v1": _INTERSECTION_MULTI_AGENT,
         "intersection-multi-agent-v2": _INTERSECTION_MULTI_AGENT | _CONNECTED,
+        FILE_ROAD: _FILE_ROAD,
     }
 )
 """The default configuration of each environment [`default_config`]."""
@@ -314,8 +327,11 @@ UNLIMITED_S = 45.0
 slow ego to reach the goal."""
 
 
-def duration_of(name: str) -> float:
-    """Default duration of an episode on a road, s [`duration`]."""
+def duration_of(road: Any) -> float:
+    """Default duration of an episode on a road, given as in a suite, s [`duration`]."""
+    name = str(road.get("name", "")) if isinstance(road, Mapping) else str(road)
+    if isinstance(road, Mapping) and "file" in road:
+        name = FILE_ROAD
     config = DEFAULTS.get(name, {})
     if name in MOST_STEPS:
         return float(MOST_STEPS[name] / config["policy_frequency"])

@@ -16,7 +16,7 @@ from charms_bench.foundation.compiled import (
     wrap_to_pi,
 )
 from charms_bench.roads.linear import linear_acceleration, linear_steering
-from charms_bench.roads.locating import coordinates_of
+from charms_bench.roads.locating import coordinates_of, heading_on, width_on
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     AHEAD,
@@ -47,7 +47,7 @@ from charms_bench.world import idm_mobil
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER
 from charms_bench.world.bicycle import slip_to_turn, steering_of, towards_centre, towards_speed
 from charms_bench.world.idm_mobil import closing_speed, desired_gap, imposes_braking, mobil
-from charms_bench.world.lane_geometry import END_MARGIN_M, line_heading
+from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import next_lane
 from charms_bench.world.road_network import Network
 
@@ -122,12 +122,12 @@ def act_as_idm(here: Here, i: int) -> None:
     vehicle, limit = vehicle_of(here, i), here.constants.acceleration_limit_mps2
     front, rear = neighbours(here, i, vehicle.lane)
     free = vehicle.free_acceleration
-    own = own_acceleration(here, i, front, free)
+    own = following_acceleration(here, i, front, free)
     if vehicle.changes_lanes:
         choose_lane(here, i, free, own, front, rear)
     if vehicle.lane != vehicle.target_lane:
         front, _ = neighbours(here, i, vehicle.target_lane)
-        own = min(own, own_acceleration(here, i, front, free))
+        own = min(own, following_acceleration(here, i, front, free))
     vehicle.acceleration = clip(own, -limit, limit)
 
 
@@ -170,7 +170,7 @@ def steer(here: Here) -> None:
             continue
         at = coordinates_of(here, i, vehicle.target_lane)
         ahead = at.s + vehicle.speed * (0.5 * c.tau_heading)
-        wanted = line_heading(lane_of(here, vehicle.target_lane), ahead)
+        wanted = heading_on(here, lane_of(here, vehicle.target_lane), ahead)
         if at.r == 0.0 and wanted == vehicle.heading:
             vehicle.steering = 0.0
             continue
@@ -217,7 +217,8 @@ def steer_batch(batch: Row, c: Row) -> None:
 def is_reachable(here: Here, i: int, lane: int) -> bool:
     """Whether vehicle i may change to a lane [`AbstractLane.is_reachable_from`]."""
     row, at = lane_of(here, lane), coordinates_of(here, i, lane)
-    is_close = abs(at.r) <= 2 * row.width and 0 <= at.s < row.length + END_MARGIN_M
+    is_beside = abs(at.r) <= 2 * width_on(here, row, at.s)
+    is_close = is_beside and 0 <= at.s < row.length + END_MARGIN_M
     return is_close and not row.forbidden
 
 
@@ -281,6 +282,21 @@ def own_acceleration(here: Here, i: int, j: int, free: float) -> float:
     if here.constants.is_linear:
         return linear_acceleration(here, i, j, i)
     return free - interaction(here, i, j)
+
+
+@inlined
+def following_acceleration(here: Here, i: int, j: int, free: float) -> float:
+    """The acceleration of vehicle i behind its neighbour j, which has just been found.
+
+    Where a road `looks_ahead`, the distance and the closing speed are those along the lanes.
+    highway-env measures both along the vehicle's own lane and heading, so that after a turn, a
+    vehicle far away can seem to be close.
+    """
+    if not here.constants.looks_ahead or j < 0:
+        return own_acceleration(here, i, j, free)
+    speed, p = vehicle_of(here, i).speed, here.constants
+    wanted = desired_gap(speed, speed - vehicle_of(here, j).speed, p)
+    return free - idm_mobil.interaction(wanted, here.clock.gap, p.acceleration_mps2)
 
 
 @inlined

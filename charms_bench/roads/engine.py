@@ -35,6 +35,7 @@ from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.locating import coordinates_of, forget
+from charms_bench.roads.looking_ahead import look_ahead
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.plan import plan_of
 from charms_bench.roads.right_of_way import enforce
@@ -458,6 +459,8 @@ def advance(
         for i in range(here.places):
             if kinds[b, i] != BY_ENVIRONMENT and decides_lane(here, vehicle_of(here, i)):
                 change_to_route(here, i)
+        if here.constants.looks_ahead:
+            look_ahead(here)
         act(scenes.road, here)
         for i in range(here.places):
             kind, vehicle = kinds[b, i], vehicle_of(here, i)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded
-from charms_bench.roads import TASKS, configuration
+from charms_bench.roads import OF_FILES, TASKS, configuration
 from charms_bench.roads.controls import Controls, actions_of
 from charms_bench.roads.defaults import DEFAULTS, MOST_STEPS, SPLIT
 from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
@@ -20,7 +20,7 @@ from charms_bench.roads.observing import Kinematics, Observed, observer_of
 from charms_bench.roads.scenes import Scenes, place
 from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
-from charms_bench.world.named_road import NamedRoad
+from charms_bench.world.named_road import FILE_ROAD, NamedRoad
 from charms_bench.world.profile import HIGHWAY_ENV
 
 Seen = Observed | tuple[Observed, ...]
@@ -53,6 +53,8 @@ class Decision(NamedTuple):
 
 class Episodes:
     """B scenes of the environment with highway-env's name `name`, such as `merge-v0`.
+
+    Those of a road in a file have the name `FILE_ROAD`.
 
     Raises:
         InputError: The configuration has an unknown key or a value that is not supported.
@@ -104,6 +106,7 @@ class Episodes:
             constants._replace(idm_mobil=idm),
             self.task.regulation_steps,
             linear.gains if linear else None,
+            self.task.links,
         )
         for b in range(count):
             for i, each in enumerate(self.task.objects, self.task.vehicles):
@@ -207,11 +210,14 @@ def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int) -> Episo
     Raises:
         InputError: See `Episodes`.
     """
+    name = road.environment
     config: dict[str, Any] = {**(road.configuration or {}), "simulation_frequency": simulation_hz}
-    is_continuous = DEFAULTS[road.name]["action"]["type"] == "ContinuousAction"
-    if is_continuous and _takes_meta_actions(road.name):
+    if road.file is not None:
+        config |= {"file": str(road.file), "sha256": road.sha256}
+    is_continuous = DEFAULTS[name]["action"]["type"] == "ContinuousAction"
+    if is_continuous and _takes_meta_actions(name):
         config["action"] = {"type": "DiscreteMetaAction", "lateral": False}
-    return Episodes(road.name, count, config)
+    return Episodes(name, count, config)
 
 
 def _takes_meta_actions(name: str) -> bool:
@@ -219,7 +225,7 @@ def _takes_meta_actions(name: str) -> bool:
 
 
 def _task_of(name: str) -> type[Task]:
-    module, class_name = TASKS[name].split(":")
+    module, class_name = (OF_FILES if name == FILE_ROAD else TASKS[name]).split(":")
     task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
     return task
 

@@ -12,10 +12,9 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.compiled import clip, compiled, not_zero, wrap_to_pi
-from charms_bench.roads.locating import coordinates_of
+from charms_bench.roads.locating import coordinates_of, heading_on
 from charms_bench.roads.scenes import CONTINUOUS, Here, lane_of, vehicle_of
 from charms_bench.world.idm_mobil import equilibrium_gap
-from charms_bench.world.lane_geometry import line_heading
 
 TIME_HEADWAY_S = 2.5
 """[`TIME_WANTED`]"""
@@ -83,7 +82,7 @@ def linear_steering(here: Here, i: int) -> float:
     vehicle, gains, c = vehicle_of(here, i), vehicle_of(here, i).gains, here.constants
     row, at = lane_of(here, vehicle.target_lane), coordinates_of(here, i, vehicle.target_lane)
     ahead, speed = at.s + vehicle.speed * (0.5 * c.tau_heading), not_zero(vehicle.speed)
-    heading = wrap_to_pi(line_heading(row, ahead) - vehicle.heading) * vehicle.length / speed
+    heading = wrap_to_pi(heading_on(here, row, ahead) - vehicle.heading) * vehicle.length / speed
     lateral = -at.r * vehicle.length / (speed * speed)
     angle = gains[3] * heading + gains[4] * lateral
     return clip(angle, -c.steering_limit, c.steering_limit)

@@ -6,8 +6,12 @@ from charms_bench.foundation.compiled import compiled, inlined, row_after, woven
 from charms_bench.roads.scenes import KNOWN_LANES, Here, Row, lane_of, vehicle_of
 from charms_bench.world.lane_geometry import (
     CIRCULAR,
+    POLYLINE,
     SINE,
     STRAIGHT,
+    curve_coordinates,
+    curve_heading,
+    curve_width,
     line_coordinates,
     line_heading,
 )
@@ -28,7 +32,7 @@ def coordinates_of(here: Here, i: int, lane: int) -> Row:
             at.s = x * row.direction_x + y * row.direction_y
             at.r = x * -row.direction_y + y * row.direction_x
         else:
-            compute(at, row, vehicle)
+            compute(at, row, vehicle, here.curves)
     return at
 
 
@@ -45,9 +49,35 @@ def is_known(here: Here, i: int, lane: int) -> bool:
 
 
 @compiled
-def compute(at: Row, lane: Row, vehicle: Row) -> None:
+def compute(at: Row, lane: Row, vehicle: Row, curves: Row) -> None:
     """[`AbstractLane.local_coordinates`]"""
-    at.s, at.r = line_coordinates(lane, vehicle.x, vehicle.y)
+    if lane.kind == POLYLINE:
+        at.s, at.r = curve_coordinates(lane, curves, vehicle.x, vehicle.y)
+    else:
+        at.s, at.r = line_coordinates(lane, vehicle.x, vehicle.y)
+
+
+@inlined
+def heading_on(here: Here, lane: Row, s: float) -> float:
+    """The heading of a lane so far along it [`AbstractLane.heading_at`]."""
+    if lane.kind == STRAIGHT:
+        return float(lane.heading)
+    if lane.kind == POLYLINE:
+        return curve_heading(lane, here.curves, s)
+    return line_heading(lane, s)
+
+
+@inlined
+def width_on(here: Here, lane: Row, s: float) -> float:
+    """The width of a lane so far along it [`AbstractLane.width_at`]."""
+    return curve_width(lane, here.curves, s) if lane.kind == POLYLINE else float(lane.width)
+
+
+@inlined
+def are_above(here: Here, one: int, other: int) -> bool:
+    """Whether a lane crosses above or below another one."""
+    level, other_level = lane_of(here, one).level, lane_of(here, other).level
+    return bool(level != other_level and level > 0 and other_level > 0)
 
 
 @inlined
@@ -106,14 +136,14 @@ def distance_with_heading(here: Here, i: int, lane: int, bound: float) -> float:
     distance = abs(at.r) + max(at.s - row.length, 0.0) + max(0.0 - at.s, 0.0)
     if distance > bound:
         return math.inf
-    heading = row.heading if row.kind == STRAIGHT else line_heading(row, at.s)
+    heading = heading_on(here, row, at.s)
     return float(distance + abs(wrap_to_pi(vehicle.heading - heading)))
 
 
 @inlined
 def is_further(lane: Row, vehicle: Row, bound: float) -> bool:
     """Whether a lane is certainly further away than a bound, without its elementary functions."""
-    if lane.kind == CIRCULAR:
+    if lane.kind == CIRCULAR or lane.kind == POLYLINE:
         return is_further_beside(lane, vehicle, bound)
     x, y = vehicle.x - lane.x, vehicle.y - lane.y
     s = x * lane.direction_x + y * lane.direction_y

@@ -5,13 +5,14 @@ distance is above that of another one by more than pi, everywhere in a square, c
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.foundation.arrays import Bools, Floats
-from charms_bench.world.lane_geometry import CIRCULAR, END_MARGIN_M, SINE
+from charms_bench.foundation.arrays import Floats
+from charms_bench.foundation.compiled import compiled
+from charms_bench.world.lane_geometry import CIRCULAR, END_MARGIN_M, POLYLINE, SINE
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M
 from charms_bench.world.road_network import Network
 
@@ -20,6 +21,8 @@ SQUARE_M = 2.0
 SQUARES = 2**16
 AROUND_M = 20.0
 """How far the map reaches around the lanes."""
+FAR_M = 150.0
+"""Further away from all lanes than this, a vehicle asks all of them."""
 FEW_LANES = 4
 """Of so many lanes, there is no map, since asking all of them is faster."""
 _ROUNDING_M = 1e-6
@@ -38,34 +41,46 @@ def map_of(road: Network) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64],
     everywhere = [*range(lanes), -1]
     if lanes <= FEW_LANES:
         return np.zeros(5), np.zeros((1, 2), np.int64), np.array(everywhere), lanes
-    ends = np.array([_extent(row) for row in road.lanes])
-    around = max(AROUND_M, road.lanes["width"].max() / 2 + END_MARGIN_M + NEIGHBOUR_MARGIN_M)
+    ends = np.array([_extent(road, row) for row in road.lanes])
+    widest = np.array([_widest(road, row) for row in road.lanes])
+    around = max(AROUND_M, widest.max() / 2 + END_MARGIN_M + NEIGHBOUR_MARGIN_M)
     low, high = ends[:, :2].min(axis=0) - around, ends[:, 2:].max(axis=0) + around
     side = max(SQUARE_M, math.sqrt(np.prod(high - low) / SQUARES))
-    columns, rows = np.ceil((high - low) / side).astype(int)
-    x = np.tile(low[0] + (np.arange(columns) + 0.5) * side, rows)
-    y = np.repeat(low[1] + (np.arange(rows) + 0.5) * side, columns)
+    columns, rows = np.ceil((high - low) / side).astype(int).tolist()
+    grid = _Grid(low, side, columns, rows)
     reach = side / math.sqrt(2) + _ROUNDING_M
-    least = np.empty((lanes, x.size))
-    most = np.full(x.size, np.inf)
-    can_be_on = np.empty((x.size, lanes), dtype=np.bool_)
-    for k, row in enumerate(road.lanes):
-        aside, along, furthest = _bounds(row, x, y, reach)
-        least[k] = aside + along
-        np.minimum(most, furthest, out=most)
-        widest = row["width"] / 2 + NEIGHBOUR_MARGIN_M + _ROUNDING_M
-        can_be_on[:, k] = (aside <= widest) & (along <= END_MARGIN_M + _ROUNDING_M)
-    can_be_nearest: Bools = (least <= most + math.pi + _ROUNDING_M).T
-    lists, first = [everywhere, [-1]], np.zeros((1 + x.size, 2), np.int64)
+    most = np.full((rows, columns), np.inf)
+    for row, end in zip(road.lanes, ends, strict=True):
+        part, x, y = grid.within(end, FAR_M)
+        _, _, furthest = _bounds(road, row, x, y, reach)
+        np.minimum(most[part], furthest.reshape(x.shape), out=most[part])
+    is_near = np.isfinite(most)
+    can_be_nearest, can_be_on = np.zeros((2, rows, columns, -(-lanes // 8)), dtype=np.uint8)
+    furthest_of_all = float(most[is_near].max())
+    for k, (row, end) in enumerate(zip(road.lanes, ends, strict=True)):
+        # A polyline says that a point is up to its length closer than it is; see `_bounds`.
+        closer = row["length"] if row["kind"] == POLYLINE else 0.0
+        part, x, y = grid.within(end, furthest_of_all + math.pi + closer)
+        aside, along, _ = (each.reshape(x.shape) for each in _bounds(road, row, x, y, reach))
+        is_on = aside <= widest[k] / 2 + NEIGHBOUR_MARGIN_M + _ROUNDING_M
+        is_on &= along <= END_MARGIN_M + _ROUNDING_M
+        bit = np.uint8(128 >> k % 8)
+        can_be_nearest[part][..., k // 8] |= bit * (
+            aside + along <= most[part] + math.pi + _ROUNDING_M
+        )
+        can_be_on[part][..., k // 8] |= bit * is_on
+    lists, first = [everywhere, [-1]], np.zeros((1 + rows * columns, 2), np.int64)
     first[0, 1] = len(everywhere)  # outside of the map, a vehicle is on no lane
-    for n, can_be in enumerate((can_be_nearest, can_be_on)):
-        kinds, kind = np.unique(np.packbits(can_be, axis=1), axis=0, return_inverse=True)
+    on_most = 1
+    for n, bits in enumerate((can_be_nearest, can_be_on)):
+        kinds, kind = np.unique(bits.reshape(rows * columns, -1), axis=0, return_inverse=True)
         members = np.unpackbits(kinds, axis=1, count=lanes)
         own = [[*np.nonzero(each)[0].tolist(), -1] for each in members]
         begins = np.cumsum([sum(map(len, lists)), *map(len, own)])
         first[1:, n] = begins[kind.ravel()]
         lists += own
-    on_most = max(int(can_be_on.sum(axis=1).max()), 1)
+        on_most = max(on_most, int(members.sum(axis=1).max())) if n else on_most
+    first[1:, 0][~is_near.ravel()] = 0
     return (
         np.array([*low, 1 / side, columns, rows]),
         first,
@@ -74,8 +89,40 @@ def map_of(road: Network) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64],
     )
 
 
-def _extent(row: Any) -> tuple[float, float, float, float]:
+class _Grid(NamedTuple):
+    """The squares of a map, row by row."""
+
+    low: Floats
+    side: float
+    columns: int
+    rows: int
+
+    def within(self, extent: Floats, distance: float) -> tuple[Any, Floats, Floats]:
+        """The squares (R, C) within a distance of an extent, with their centres' x and y."""
+        ends = np.stack((extent[:2] - distance, extent[2:] + distance)) - self.low
+        first, last = np.floor(ends / self.side).astype(int) + [[0], [1]]
+        (left, top), (right, bottom) = (
+            np.clip(each, 0, (self.columns, self.rows)).tolist() for each in (first, last)
+        )
+        x = self.low[0] + (np.arange(left, right) + 0.5) * self.side
+        y = self.low[1] + (np.arange(top, bottom) + 0.5) * self.side
+        found = np.meshgrid(x, y)
+        return np.s_[top:bottom, left:right], found[0], found[1]
+
+
+def _widest(road: Network, row: Any) -> float:
+    """The largest width of a lane."""
+    if row["kind"] == POLYLINE:
+        return float(road.curves["width"][row["curve"] :][: row["width_count"]].max())
+    return float(row["width"])
+
+
+def _extent(road: Network, row: Any) -> tuple[float, float, float, float]:
     """The least x and y of a lane, and the largest."""
+    if row["kind"] == POLYLINE:
+        points = road.curves[row["curve"] :][: row["point_count"]]
+        x, y = points["x"], points["y"]
+        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
     if row["kind"] == CIRCULAR:
         reach, end = row["radius"], (row["x"], row["y"])
     else:
@@ -86,13 +133,20 @@ def _extent(row: Any) -> tuple[float, float, float, float]:
     return low_x - reach, low_y - reach, high_x + reach, high_y + reach
 
 
-def _bounds(row: Any, x: Floats, y: Floats, reach: float) -> tuple[Floats, Floats, Floats]:
-    """Bounds of the distance of a lane within a reach of points (C,).
+def _bounds(
+    road: Network, row: Any, x: Floats, y: Floats, reach: float
+) -> tuple[Floats, Floats, Floats]:
+    """Bounds of the distance of a lane within a reach of points.
 
     Returns:
         The least distance beside the lane, the least beyond its ends, and the largest of both
-        together, which is that of `AbstractLane.distance`.
+        together, which is that of `AbstractLane.distance`. Of a polyline, a position is measured
+        from one of its poses, which can be as far away as the polyline is long.
     """
+    if row["kind"] == POLYLINE:
+        bounds = np.empty((3, x.size))
+        _bounds_of_curve(row, road.curves, x.ravel(), y.ravel(), reach, bounds)
+        return bounds[0], bounds[1], bounds[2]
     dx, dy = x - row["x"], y - row["y"]
     if row["kind"] == CIRCULAR:
         away = np.sqrt(dx * dx + dy * dy)
@@ -109,6 +163,29 @@ def _bounds(row: Any, x: Floats, y: Floats, reach: float) -> tuple[Floats, Float
     swing = reach + (abs(row["amplitude"]) if row["kind"] == SINE else 0.0)
     least, most = (_beyond(s, sign * reach, 1.0, row["length"]) for sign in (-1, 1))
     return np.maximum(aside - swing, 0.0), least, aside + swing + most
+
+
+@compiled
+def _bounds_of_curve(
+    row: Any, curves: Any, x: Floats, y: Floats, reach: float, bounds: Floats
+) -> None:
+    """Fills in the bounds (3, C) of a polyline; see `curve_coordinates`, which looks for a pose."""
+    for c in range(x.size):
+        aside, along, furthest = np.inf, np.inf, 0.0
+        for k in range(row.pose_count - 1, -1, -1):
+            pose = curves[row.curve + k]
+            dx, dy = x[c] - pose.pose_x, y[c] - pose.pose_y
+            ahead = pose.normal_x * dx + pose.normal_y * dy
+            if ahead + reach < 0.0 and k > 0:
+                continue  # no point within reach is measured from this pose
+            beside, s = abs(-pose.normal_y * dx + pose.normal_x * dy), k + ahead
+            aside = min(aside, max(beside - reach, 0.0))
+            along = min(along, max(s - reach - row.length, 0.0 - s - reach, 0.0))
+            beyond = max(s + reach - row.length, reach - s, 0.0)
+            furthest = max(furthest, beside + reach + beyond)
+            if ahead - reach >= 0.0:
+                break  # every point is measured from this pose, or from one after it
+        bounds[0, c], bounds[1, c], bounds[2, c] = aside, along, furthest
 
 
 def _beyond(along: Floats, margin: Any, unit: float, length: float) -> Floats:

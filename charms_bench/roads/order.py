@@ -7,9 +7,16 @@ places. So a question about a vehicle costs the same, however many vehicles ther
 """
 
 from charms_bench.foundation.compiled import compiled, inlined, row_after
-from charms_bench.roads.locating import coordinates_of, is_further_beside, is_known, square_of
+from charms_bench.roads.locating import (
+    are_above,
+    coordinates_of,
+    is_further_beside,
+    is_known,
+    square_of,
+    width_on,
+)
 from charms_bench.roads.scenes import OBSTACLE, Here, Row, lane_of, vehicle_of
-from charms_bench.world.lane_geometry import END_MARGIN_M
+from charms_bench.world.lane_geometry import END_MARGIN_M, POLYLINE
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M
 
 FEW_LISTED = 8
@@ -21,7 +28,7 @@ def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
     """The nearest vehicles or obstacles ahead and behind on a lane, -1 for none.
 
     Of several at one position, that ahead is the last one in the table of vehicles, and that behind
-    the first one [`Road.neighbour_vehicles`].
+    the first one [`Road.neighbour_vehicles`]. How far the one ahead is along the lanes is noted.
     """
     clock, search, s = here.clock, row_after(here.searches, lane), coordinates_of(here, i, lane).s
     if clock.sorted != clock.moves or search.listed != clock.lists:
@@ -44,6 +51,7 @@ def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
             break
         if listed.place != i:
             front, s_front = listed.place, listed.s
+    clock.gap = s_front - s
     for k in range(low - 1, search.start - 1, -1):
         listed = row_after(here.listed, k)
         if rear >= 0 and listed.s != s_rear:
@@ -187,7 +195,11 @@ def is_on(here: Here, j: int, lane: int) -> bool:
     if not is_known(here, j, lane) and is_further_beside(row, vehicle_of(here, j), beside):
         return False
     at = coordinates_of(here, j, lane)
-    return bool(abs(at.r) <= beside and -END_MARGIN_M <= at.s < row.length + END_MARGIN_M)
+    if row.kind == POLYLINE:
+        beside = width_on(here, row, at.s) / 2 + NEIGHBOUR_MARGIN_M
+    if not (abs(at.r) <= beside and -END_MARGIN_M <= at.s < row.length + END_MARGIN_M):
+        return False
+    return not are_above(here, vehicle_of(here, j).lane, lane)
 
 
 @compiled

@@ -1,6 +1,7 @@
 """The state of B scenes of N vehicles and obstacles on a network of lanes."""
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -31,6 +32,8 @@ FEW_VEHICLES = 32
 is faster."""
 LISTS = 8
 """In so many lists on average, a vehicle can be at once; with more, the first ones are dropped."""
+AHEAD_M = 60.0
+"""So far beyond the end of a lane with links, neighbours are sought."""
 OBSTACLE_SIZE_M = 2.0
 """The length and the width of an obstacle [`RoadObject`]."""
 GAINS = 5
@@ -52,8 +55,8 @@ def _table(**names: str) -> "np.dtype[Any]":
 VEHICLE = _table(
     floats="x y heading direction_x direction_y speed acceleration steering length width "
     "target_speed timer_s exponent impact_x impact_y speed_min speed_max lateral_speed yaw_rate "
-    "free_acceleration",
-    integers="kind lane target_lane speed_index route_step route_end",
+    "free_acceleration goal_s stood_s stop_s",
+    integers="kind lane target_lane speed_index route_step route_end goal stop_lane",
     booleans="crashed has_impact changes_lanes checks_collisions is_yielding",
     routes="route_roads route_numbers",
     gains="gains",
@@ -68,7 +71,9 @@ says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles coll
 dynamical vehicle has a `lateral_speed` and a `yaw_rate`. `free_acceleration` is the first part of
 IDM, of an IDM vehicle in the present step. A route is a list of steps: the first lane
 of a road between two nodes, and the number of the lane on it, -1 if it is open. The vehicle's next
-step is `route_step`, and before `route_end` is the last."""
+step is `route_step`, and before `route_end` is the last. On a road of a file, its `goal` is one of
+`Routes.goals`, -1 for none, so far along its road; so long it has stood, s; and it stops so far
+along `stop_lane`, -1 for none."""
 COORDINATES = _table(floats="s r", integers="key")
 """How far a vehicle is along and beside a lane, m. The key is that of the lane and of the vehicle's
 last move, for which it was computed."""
@@ -102,11 +107,12 @@ NEAR = _table(integers="lane")
 BODY = _table(floats="x y reach", integers="place checks")
 """A vehicle or an obstacle as the search for collisions sees it: how far its corners reach, at
 most, and whether it checks collisions."""
-CLOCK = _table(integers="moves sorted lists used room marks changing most few")
+CLOCK = _table(integers="moves sorted lists used room marks changing most few", floats="gap")
 """How often vehicles have moved, so that what was found before is known to be obsolete; after which
 move the vehicles on lanes were `sorted`; the number of the valid lists, how much of `Scenes.listed`
 they use and how much there is; the last mark; how many vehicles change lanes; on how many lanes
-one can be; and whether a list is made by looking at all vehicles."""
+one can be; whether a list is made by looking at all vehicles; and how far along the lanes the last
+neighbour ahead was found, m."""
 NUMBER = _table(floats="value")
 """A number of a vehicle in a batch."""
 COLUMNS = tuple(range(13))
@@ -116,11 +122,12 @@ X, Y, COSINE, SINE = _WAY
 all of them at once."""
 CONSTANTS = _table(
     floats=" ".join((*Constants._fields[:-1], *IdmMobilParameters._fields)),
-    integers="regulation_steps is_linear",
+    integers="regulation_steps is_linear looks_ahead",
 )
 """`Constants` and `IdmMobilParameters`, one after the other. After so many simulation steps,
 vehicles look who has the right of way; 0 if they never do. `is_linear` says whether the vehicles
-that decide by IDM elsewhere are linear."""
+that decide by IDM elsewhere are linear. Where a road `looks_ahead`, they brake before slower
+lanes of their routes."""
 
 
 @compiled
@@ -199,11 +206,13 @@ class Scenes(_Fields):
         constants: Constants,
         regulation_steps: int = 0,
         gains: Floats | None = None,
+        links: Sequence[Sequence[int]] | None = None,
     ) -> "Scenes":
-        """Scenes without vehicles, on a road without polylines.
+        """Scenes without vehicles.
 
         `connects` says whether neighbours are also sought on connected lanes
         [`neighbour_vehicles_connected_lanes`]. With `gains`, vehicles are linear.
+        With `links`, the lanes that follow each lane, vehicles look ahead along them.
         """
         squares, begins, near, most = map_of(road)
         nearest = np.zeros(len(begins), NEAREST)
@@ -211,7 +220,8 @@ class Scenes(_Fields):
         room = (LISTS + 2 * most) * places
         in_order = np.zeros(places, ORDER)
         in_order["place"] = np.arange(places)
-        numbers = *constants[:-1], *constants.idm_mobil, regulation_steps, gains is not None
+        of_all = *constants[:-1], *constants.idm_mobil
+        numbers = *of_all, regulation_steps, gains is not None, links is not None
         visited = np.zeros(places, VISITED)
         visited["along"] = visited["by_x"] = np.arange(places)
         clock = np.zeros(1, CLOCK)
@@ -225,7 +235,7 @@ class Scenes(_Fields):
             steps=np.zeros(scenes, dtype=np.int64),
             target_speeds=target_speeds,
             road=road,
-            **_searches(road, connects),
+            **_searches(road, _linked(road, links) if links else _connected(road, connects)),
             squares=np.array([tuple(squares)], SQUARES),
             nearest=nearest,
             near=near.astype(NEAR),
@@ -240,26 +250,64 @@ class Scenes(_Fields):
         )
 
 
-def _searches(road: Network, connects: bool) -> dict[str, NDArray[np.void]]:
-    """The lanes of `Road.neighbour_vehicles`, in its order."""
-    table, roads = road.lanes, np.unique(road.lanes["first"])
+Found = list[tuple[int, float]]
+"""Lanes, and how far their starts are along the lane in question, m."""
+
+
+def _searches(road: Network, found: Iterable[Found]) -> dict[str, NDArray[np.void]]:
+    """The tables of the lanes on which neighbours are sought."""
     connected: list[tuple[int, int, float]] = []
     searches = []
-    for lane, row in enumerate(table):
-        first, number = len(connected), lane - row["first"]
-        found = [(lane, 0.0)]
-        for following in _following(road, lane) if connects else ():
-            found.append((_same_number(table, following, number), row["length"]))
-        for before in roads if connects else ():
-            if row["first"] in _following(road, before):
-                previous = _same_number(table, before, number)
-                found.append((previous, -table["length"][previous]))
-        by_offset = sorted(range(len(found)), key=[offset for _, offset in found].__getitem__)
+    for each in found:
+        first = len(connected)
+        by_offset = sorted(range(len(each)), key=[offset for _, offset in each].__getitem__)
         connected += [
-            (each, first + k, offset) for (each, offset), k in zip(found, by_offset, strict=True)
+            (lane, first + k, offset) for (lane, offset), k in zip(each, by_offset, strict=True)
         ]
         searches.append((first, len(connected), -1, 0, 0, -1, 0, 0))
     return {"connected": np.array(connected, CONNECTED), "searches": np.array(searches, SEARCH)}
+
+
+def _connected(road: Network, connects: bool) -> Iterator[Found]:
+    """For each lane, it and the lanes of `Road.neighbour_vehicles`, in its order."""
+    table, roads = road.lanes, np.unique(road.lanes["first"]).tolist()
+    before: dict[int, list[int]] = {first: [] for first in roads}
+    for first in roads if connects else ():
+        for following in _following(road, first):
+            before[following].append(first)
+    for lane, row in enumerate(table):
+        number = lane - row["first"]
+        found = [(lane, 0.0)]
+        for following in _following(road, lane) if connects else ():
+            found.append((_same_number(table, following, number), row["length"]))
+        for each in before[int(row["first"])]:
+            previous = _same_number(table, each, number)
+            found.append((previous, -table["length"][previous]))
+        yield found
+
+
+def _linked(road: Network, links: Sequence[Sequence[int]]) -> Iterator[Found]:
+    """For each lane, it and the lanes that follow it, lead to it, or follow such a lane alone.
+
+    The last go on for `AHEAD_M`.
+    """
+    lengths = road.lanes["length"]
+    before: list[list[int]] = [[] for _ in links]
+    for lane, each in enumerate(links):
+        for after in each:
+            before[after].append(lane)
+    for lane, each in enumerate(links):
+        found = [(lane, 0.0)]
+        for after in each:
+            start = float(lengths[lane])
+            while start - lengths[lane] < AHEAD_M and after not in [known for known, _ in found]:
+                found.append((after, start))
+                start += float(lengths[after])
+                if len(links[after]) != 1:
+                    break
+                (after,) = links[after]
+        known = {known for known, _ in found}
+        yield found + [(one, -float(lengths[one])) for one in before[lane] if one not in known]
 
 
 def _following(road: Network, lane: int) -> list[int]:
@@ -282,6 +330,7 @@ class Here(NamedTuple):
     places: int
     coordinates: Row
     lanes: Row
+    curves: Row
     lane_count: int
     connected: Row
     searches: Row
@@ -305,6 +354,7 @@ def here_of(scenes: Scenes, b: int) -> Here:
         scenes.vehicles.shape[1],
         scenes.coordinates[0],
         scenes.road.lanes[0],
+        scenes.road.curves[0],
         scenes.road.lanes.size,
         scenes.connected[0],
         scenes.searches[0],
@@ -375,6 +425,23 @@ def place(
     scenes: Scenes, b: int, i: int, kind: int, x: float, y: float, heading: float, speed: float
 ) -> None:
     """Puts a vehicle or an obstacle at a place of scene b [`IDMVehicle.__init__`, `MDPVehicle`]."""
+    lane = closest_lane(scenes.road, x, y, heading)
+    place_near(scenes, b, i, kind, lane, x, y, heading, speed)
+
+
+@compiled
+def place_near(
+    scenes: Scenes,
+    b: int,
+    i: int,
+    kind: int,
+    lane: int,
+    x: float,
+    y: float,
+    heading: float,
+    speed: float,
+) -> None:
+    """As `place`, where the nearest lane is known."""
     vehicle, c = scenes.vehicles[b, i], scenes.constants[0]
     vehicle.kind = kind
     vehicle.x, vehicle.y, vehicle.heading, vehicle.speed = x, y, heading, speed
@@ -389,8 +456,10 @@ def place(
     vehicle.exponent = IDM_EXPONENT
     for k in range(GAINS):
         vehicle.gains[k] = scenes.gains[0, k]
-    vehicle.lane = vehicle.target_lane = closest_lane(scenes.road, x, y, heading)
+    vehicle.lane = vehicle.target_lane = lane
     vehicle.route_step = vehicle.route_end = 0
+    vehicle.goal, vehicle.goal_s, vehicle.stood_s = -1, 0.0, 0.0
+    vehicle.stop_lane, vehicle.stop_s = -1, 0.0
     vehicle.crashed = vehicle.has_impact = vehicle.is_yielding = False
     vehicle.changes_lanes = vehicle.checks_collisions = True
     if kind == COMMANDED:

@@ -32,6 +32,8 @@ _OF_SCENES = {
     "policy_frequency": "give scene.decision_hz",
     "duration": "give duration_s beside the road's name",
     "controlled_vehicles": "a suite has one ego",
+    "file": "give file beside the configuration",
+    "sha256": "it is that of the file",
 }
 """Keys of highway-env's configuration that a suite says in another way."""
 _MOST = {
@@ -58,7 +60,7 @@ class _Road(NamedTuple):
 
 def _check(road: NamedRoad) -> None:
     """Raises an `InputError` if a road is none of suites, or its configuration is not its own."""
-    if road.name not in OF_SUITES:
+    if road.file is None and road.name not in OF_SUITES:
         known = suggestion(road.name, dict.fromkeys(OF_SUITES))
         raise InputError(f"no road named '{road.name}'. {known}")
     for key, value in (road.configuration or {}).items():
@@ -100,7 +102,9 @@ def on_road(
     """
     _check(road)
     duration_s = settings.duration_s if duration_s is None else duration_s
-    if "duration" in DEFAULTS[road.name]:  # which decides how many vehicles there is room for
+    if (
+        "duration" in DEFAULTS[road.environment]
+    ):  # which decides how many vehicles there is room for
         configuration = {**(road.configuration or {}), "duration": duration_s}
         road = road.model_copy(update={"configuration": configuration})
     found = _road(road)

@@ -15,7 +15,8 @@ from charms_bench.roads.dynamics import (
     prepare,
     turn_batch,
 )
-from charms_bench.roads.locating import forget, locate
+from charms_bench.roads.locating import are_above, forget, locate
+from charms_bench.roads.looking_ahead import look_ahead
 from charms_bench.roads.right_of_way import enforce
 from charms_bench.roads.scenes import (
     BATCH,
@@ -72,6 +73,8 @@ def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: flo
 def advance(road: Network, steps: Ints, b: int, here: Here, frames: int) -> None:
     """Advances scene b by so many simulation steps; `steps` (B,) are those of `Scenes`."""
     for _ in range(frames):
+        if here.constants.looks_ahead:
+            look_ahead(here)
         act(road, here)
         if here.constants.regulation_steps:
             steps[b] += 1
@@ -154,7 +157,8 @@ def collide(here: Here) -> None:
                 if abs(other.x - body.x) > reach + furthest:
                     break
                 is_later = row_after(here.visited, other.place).rank > k
-                if is_later and are_near(body, other, reach + other.reach):
+                is_later = is_later and are_near(body, other, reach + other.reach)
+                if is_later and not are_above(here, own.lane, vehicle_of(here, other.place).lane):
                     insert_by_rank(here, near, other.place)
                     near += 1
                 n += step
@@ -179,8 +183,11 @@ def collide_all(here: Here) -> None:
         reach = body.reach + abs(own.speed) * dt
         for m in range(k + 1, count):
             other = row_after(here.bodies, m)
-            if are_near(body, other, reach + other.reach):
-                collide_pair(own, vehicle_of(here, other.place), dt)
+            if not are_near(body, other, reach + other.reach):
+                continue
+            another = vehicle_of(here, other.place)
+            if not are_above(here, own.lane, another.lane):
+                collide_pair(own, another, dt)
 
 
 @inlined

@@ -6,6 +6,7 @@ is in the view while it is beside these lanes, or at most `END_MARGIN_M` before 
 at most one lane from the viewer's road.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,10 @@ from charms_bench.engine.neighbours import find_neighbours, sort_by_x
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, wrap_to_pi
-from charms_bench.roads.locating import coordinates_of
+from charms_bench.roads.locating import coordinates_of, heading_on
+from charms_bench.roads.looking_ahead import speed_ahead
 from charms_bench.roads.scenes import NOTHING, Here, Row, Scenes, lane_of, vehicle_of
-from charms_bench.world.lane_geometry import END_MARGIN_M, line_heading
+from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import local_coordinates, next_lane, position
 from charms_bench.world.scene import VACANT_X_M, Scene
 
@@ -80,7 +82,7 @@ def straighten(
         at = coordinates_of(here, i, lanes[best])
         scene.present[v, i] = True
         scene.x[v, i], scene.y[v, i] = starts[best] + at.s, y
-        heading = wrap_to_pi(vehicle.heading - line_heading(lane_of(here, lanes[best]), at.s))
+        heading = wrap_to_pi(vehicle.heading - heading_on(here, lane_of(here, lanes[best]), at.s))
         scene.heading[v, i] = heading
         scene.direction_y[v, i], scene.direction_x[v, i] = maths.sin_cos(heading)
         lane = numbers[BEHIND] if i == viewer else min(max(round(y / width), 0), count - 1)
@@ -91,6 +93,8 @@ def straighten(
         copy_state(scene, v, i, vehicle)
     ways.targets[b, viewer] = scene.target_lane[v, viewer]
     ways.speed_limits[b, viewer] = own_road.speed_limit
+    if here.constants.looks_ahead:  # in whole m/s, because each speed has views of its own
+        ways.speed_limits[b, viewer] = max(math.floor(speed_ahead(here, viewer)), 1.0)
     open_lanes = numbers[BEHIND] + 1
     for number in range(numbers[BEHIND] + 1, count):
         if not lane_of(here, own_road.first + number).forbidden:

@@ -113,7 +113,9 @@ class CellTask:
             for number, name in enumerate(self.networks)
         }
         if self.scene.network is not None:
-            inputs["road"] = _plain(self.scene.network)
+            inputs["road"] = _plain(road := self.scene.network)
+            if road.file is not None:
+                contents[str(road.file)] = str(road.sha256)
         if (source := self.scene.recording) is not None:
             contents[str(source.folder)] = source.sha256
         named = by_content(inputs, contents) if contents else inputs

@@ -1,4 +1,4 @@
-"""The roads of a suite: highway-env's, each with a configuration and an episode's duration."""
+"""The roads of a suite: highway-env's and files, with their configurations and durations."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -19,7 +19,7 @@ class RoadEntry(NamedRoad):
     """Duration of an episode, unless it ends before. By default, it is `scene.duration_s`; without
     that, the duration of the environment; and 45 s where it has none."""
     label: Name | None = None
-    """Its name in tables; by default highway-env's."""
+    """Its name in tables; by default highway-env's, or that of the file."""
 
     @model_validator(mode="before")
     @classmethod
@@ -34,7 +34,7 @@ class RoadEntry(NamedRoad):
     @property
     def road(self) -> NamedRoad:
         """The road itself."""
-        return NamedRoad(name=self.name, configuration=self.configuration)
+        return NamedRoad(**{name: getattr(self, name) for name in NamedRoad.model_fields})
 
 
 def with_defaults_of_roads(suite: dict[str, Any], roads: Sequence[Any]) -> dict[str, Any]:
@@ -47,9 +47,7 @@ def with_defaults_of_roads(suite: dict[str, Any], roads: Sequence[Any]) -> dict[
     entries = [{"name": each} if isinstance(each, str) else each for each in roads]
     if "duration_s" not in scene:
         entries = [
-            {"duration_s": duration_of(str(each.get("name"))), **each}
-            if isinstance(each, dict)
-            else each
+            {"duration_s": duration_of(each), **each} if isinstance(each, dict) else each
             for each in entries
         ]
     return {**suite, "scene": {"profile": ROADS.name, **scene}, "roads": entries}

@@ -174,7 +174,7 @@ def _apart(
             steps = [tuple(step) for step in theirs.route or ()]
             is_same |= {
                 "target lane": names[vehicle["target_lane"]] == theirs.target_lane_index,
-                "route": _route(vehicle, names) == steps,
+                "route": route_of(vehicle, names) == steps,
             }
         pairs |= {
             f"{each} of vehicle {k}": (0.0, 0.0 if is_same[each] else np.inf) for each in is_same
@@ -211,7 +211,7 @@ def difference(ours: Any, theirs: Any) -> float:
     return float(np.nan_to_num(apart, nan=np.inf, posinf=np.inf).max(initial=0.0))
 
 
-def _route(vehicle: Any, names: list[Any]) -> list[Any]:
+def route_of(vehicle: Any, names: list[Any]) -> list[Any]:
     """A vehicle's route as highway-env writes it."""
     steps = range(int(vehicle["route_step"]), int(vehicle["route_end"]))
     numbers = [int(vehicle["route_numbers"][k]) for k in steps]

@@ -1,18 +1,20 @@
 """The geometry of one lane of a network, by its kind, operation for operation as in highway-env.
 
 The functions take a row of the table of lanes, which compiled code passes as a pointer. Those of
-polylines are compiled into their callers, because they take an array, the table of curves: to pass
-it takes longer than to compute the answer.
+polylines also take the table of curves: as an array, which is why they are compiled into their
+callers (to pass it takes longer than to compute the answer), or as its first row, a pointer.
 """
 
 import math
 from typing import Any
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from charms_bench.foundation import maths
-from charms_bench.foundation.compiled import clip, compiled, inlined, wrap_to_pi
+from charms_bench.foundation.compiled import clip, compiled, inlined, row_after, wrap_to_pi
 
 KINDS = ("straight", "sine", "circular", "polyline")
 """The kinds of lanes; a lane's `kind` is an index into this tuple."""
@@ -29,7 +31,8 @@ END_MARGIN_M = 5.0
 vehicle's length [`AbstractLane.VEHICLE_LENGTH`]."""
 Row = Any
 """A row of the table of lanes; see `road_network.LANE`."""
-Curves = NDArray[np.void]
+Curves = NDArray[np.void] | Any
+"""The table of curves, or its first row in compiled code."""
 Pair = tuple[float, float]
 
 
@@ -77,6 +80,18 @@ def line_coordinates(lane: Row, x: float, y: float) -> Pair:
     return longitudinal, lateral
 
 
+def curve_row(curves: Curves, k: int) -> Any:
+    """The row k of the table of curves."""
+    return curves[k]
+
+
+@overload(curve_row, inline="always", strict=False)
+def _curve_row(curves: Any, k: Any) -> Any:
+    if isinstance(curves, types.Record):
+        return lambda curves, k: row_after(curves, k)
+    return lambda curves, k: curves[k]
+
+
 @inlined
 def curve_position(lane: Row, curves: Curves, longitudinal: float, lateral: float) -> Pair:
     """[`PolyLaneFixedWidth.position`, with `numpy_interp1d`]"""
@@ -84,12 +99,12 @@ def curve_position(lane: Row, curves: Curves, longitudinal: float, lateral: floa
     high = last
     while high - low > 1:
         middle = (low + high) // 2
-        if curves[middle].arc_length <= longitudinal:
+        if curve_row(curves, middle).arc_length <= longitudinal:
             low = middle
         else:
             high = middle
-    one, other = curves[low], curves[low + 1]
-    known = curves[last] if longitudinal >= curves[last].arc_length else one
+    one, other = curve_row(curves, low), curve_row(curves, low + 1)
+    known = curve_row(curves, last) if longitudinal >= curve_row(curves, last).arc_length else one
     span, along = other.arc_length - one.arc_length, longitudinal - known.arc_length
     x = known.x + (other.x - one.x) / span * along
     y = known.y + (other.y - one.y) / span * along
@@ -100,13 +115,15 @@ def curve_position(lane: Row, curves: Curves, longitudinal: float, lateral: floa
 @inlined
 def curve_heading(lane: Row, curves: Curves, longitudinal: float) -> float:
     """[`PolyLaneFixedWidth.heading_at`]"""
-    return float(curves[lane.curve + int(clip(longitudinal, 0.0, lane.pose_count - 1.0))].heading)
+    metre = int(clip(longitudinal, 0.0, lane.pose_count - 1.0))
+    return float(curve_row(curves, lane.curve + metre).heading)
 
 
 @inlined
 def curve_width(lane: Row, curves: Curves, longitudinal: float) -> float:
     """[`PolyLane.width_at`]"""
-    return float(curves[lane.curve + int(clip(longitudinal, 0.0, lane.width_count - 1.0))].width)
+    metre = int(clip(longitudinal, 0.0, lane.width_count - 1.0))
+    return float(curve_row(curves, lane.curve + metre).width)
 
 
 @inlined
@@ -116,9 +133,9 @@ def curve_coordinates(lane: Row, curves: Curves, x: float, y: float) -> Pair:
     ahead = -1.0
     while ahead < 0.0 and metres > 0:
         metres -= 1
-        pose = curves[lane.curve + metres]
+        pose = curve_row(curves, lane.curve + metres)
         aside_x, aside_y = x - pose.pose_x, y - pose.pose_y
         ahead = pose.normal_x * aside_x + pose.normal_y * aside_y
-    pose = curves[lane.curve + metres]
+    pose = curve_row(curves, lane.curve + metres)
     aside_x, aside_y = x - pose.pose_x, y - pose.pose_y
     return metres + ahead, -pose.normal_y * aside_x + pose.normal_x * aside_y

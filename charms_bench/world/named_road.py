@@ -1,26 +1,60 @@
-"""One of highway-env's roads, by its name and its configuration."""
+"""A road that is not the straight one: one of highway-env's, or one in a file."""
 
+import hashlib
 import json
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
-from pydantic import JsonValue
+from pydantic import Field, JsonValue, ValidationInfo, model_validator
 
-from charms_bench.foundation.fields import UNLESS_EMPTY, FrozenModel, Name
+from charms_bench.foundation.fields import UNLESS_EMPTY, FilePath, FrozenModel, Name
+from charms_bench.foundation.files import absolute
 
 ENVIRONMENT = "environment"
-"""The traffic model of the vehicles that an environment of highway-env has itself."""
+"""The traffic model of the vehicles that a road has itself."""
+FILE_ROAD = "road-file"
+"""The environment of all roads in files."""
 
 
 class NamedRoad(FrozenModel):
-    """The road, the vehicles and the goal of one of highway-env's environments."""
+    """A road with its vehicles and the ego's goal: of an environment of highway-env, or a file."""
 
     name: Name
-    """highway-env's name of the environment, such as `merge-v1`."""
+    """highway-env's name of the environment, such as `merge-v1`; with `file`, a name of its own, by
+    default that of the file."""
+    file: Annotated[FilePath | None, UNLESS_EMPTY] = None
+    """A road file or a map that `charms-bench road` reads; a relative path starts at the folder of
+    the suite."""
+    sha256: Annotated[str | None, Field(pattern="^[0-9a-f]{64}$"), UNLESS_EMPTY] = None
+    """The hash of the file, which is filled in when the file is first read."""
     configuration: Annotated[dict[str, JsonValue] | None, UNLESS_EMPTY] = None
-    """Keys of highway-env's configuration, such as `{lanes_count: 3}`."""
+    """Keys of highway-env's configuration, such as `{lanes_count: 3}`, or of a road in a file."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_file(cls, value: Any, info: ValidationInfo) -> Any:
+        """Fills in what a file decides."""
+        file = value.get("file") if isinstance(value, dict) else None
+        if not isinstance(file, str | Path):
+            return value
+        path = Path(file)
+        found = {"name": path.name.partition(".")[0][:80] or "road", **value}
+        if not found.get("sha256"):
+            found["file"] = path = absolute((info.context or {}).get("folder", Path()) / path)
+            try:
+                with path.open("rb") as content:
+                    found["sha256"] = hashlib.file_digest(content, "sha256").hexdigest()
+            except OSError as error:
+                raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+        return found
 
     def __str__(self) -> str:
         return self.name
 
     def __hash__(self) -> int:
-        return hash((self.name, json.dumps(self.configuration, sort_keys=True)))
+        return hash((self.name, self.sha256, json.dumps(self.configuration, sort_keys=True)))
+
+    @property
+    def environment(self) -> str:
+        """The environment to which the configuration belongs."""
+        return FILE_ROAD if self.file else self.name

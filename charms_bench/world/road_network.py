@@ -36,7 +36,7 @@ _FLOATS = (
 )
 _INTEGERS = (
     "kind forbidden priority line_left line_right left right first lanes next_roads next_count "
-    "curve point_count pose_count width_count"
+    "curve point_count pose_count width_count level"
 )
 _FIELDS = {"f8": _FLOATS, "i8": _INTEGERS}
 LANE = np.dtype(
@@ -46,7 +46,8 @@ LANE = np.dtype(
 whose `turn` is 1 if it is clockwise and -1 otherwise. `left` and `right` are the neighbours, -1
 for none. `first` is the first lane of the same road between two nodes, and `lanes` their number;
 `next_roads` and `next_count` are a part of `Network.successors`. A polyline has so many points,
-poses and widths in `Network.curves`, from the row `curve` on."""
+poses and widths in `Network.curves`, from the row `curve` on. Lanes of different levels cross above
+each other; 0 is that of all others, which is not apart from any."""
 
 
 class Network(NamedTuple):

@@ -1,0 +1,228 @@
+"""Compares the vehicles of a road in a file with highway-env's own classes on the same lanes."""
+
+import math
+from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.looking_ahead import BRAKING_MPS2, HORIZON_M
+from charms_bench.roads.map_lanes import driven_lanes, map_of
+from charms_bench.roads.scenes import IDM, OBSTACLE
+from charms_bench.roads.stepping import decide
+from charms_bench.testing.chunks import in_chunks
+from charms_bench.testing.road_parity import NUMBERS, Comparison, difference, route_of
+from charms_bench.world.named_road import FILE_ROAD, NamedRoad
+from charms_bench.world.road_network import Lane, PolyLane
+
+HZ = 15
+_CHUNK = 5
+
+
+def verify_map(
+    path: Path,
+    episodes: int,
+    vehicles: int = 10,
+    seconds: int = 10,
+    workers: int | None = None,
+) -> list[Comparison]:
+    """Compares episodes in which IDM vehicles drive their routes, second by second.
+
+    They start as the road's own vehicles do. Both brake before slower lanes of their routes, yield
+    by the same priorities, and see vehicles on connected lanes.
+    """
+
+    (found,) = in_chunks(
+        _Compare(vehicles, seconds),
+        [path],
+        range(episodes),
+        _CHUNK,
+        str,
+        workers,
+        lambda episodes: None,
+    )
+    return found
+
+
+class _Compare:
+    def __init__(self, vehicles: int, seconds: int) -> None:
+        self._vehicles, self._seconds = vehicles, seconds
+
+    def __call__(self, path: Path, seeds: range) -> Comparison:
+        """Compares episodes with highway-env as it computes in this process."""
+        ours = episodes_of_map(path, self._vehicles)
+        road = NamedRoad.model_validate({"file": path})
+        network = stock_network(driven_lanes(map_of(path, str(road.sha256))))
+        names = [*network.lanes_dict()]
+        found = Comparison(path.name)
+        for seed in seeds:
+            start(ours, seed)
+            stock = stock_road(ours, network, names)
+            found.episodes += 1
+            for second in range(self._seconds):
+                advance(ours, 1)
+                advance_stock(stock, HZ)
+                found.decisions += 1
+                apart, what = _apart(stock, ours, names)
+                found.largest = max(found.largest, apart)
+                if apart:
+                    found.differing.append(f"episode {seed}, second {second}: {what}")
+                    break
+            found.crashed += any(each.crashed for each in stock.vehicles)
+        return found
+
+
+def episodes_of_map(path: Path, vehicles: int) -> Episodes:
+    """One scene of about so many vehicles on the road in a file."""
+    road = NamedRoad.model_validate({"file": path})
+    known = map_of(path, str(road.sha256))
+    lane_km = sum(lane.length for lane in known.lanes) / 1000
+    density = (vehicles - 1) / lane_km
+    config = {"file": str(path), "sha256": road.sha256, "density": density}
+    return Episodes(FILE_ROAD, 1, config | {"simulation_frequency": HZ})
+
+
+def start(ours: Episodes, seed: int) -> None:
+    """Starts an episode in which the ego is an IDM vehicle, too."""
+    ours.seed(ours.everyone, np.array([seed], dtype=np.uint64))
+    ours.start(ours.everyone)
+    ego = ours.scenes.vehicles[:, 0]
+    ego["target_speed"][ego["kind"] > OBSTACLE] = ego["speed"][ego["kind"] > OBSTACLE]
+    ego["kind"][ego["kind"] > OBSTACLE] = IDM
+
+
+def advance(ours: Episodes, seconds: int) -> None:
+    """Advances without vehicles that come and go."""
+    nobody = np.zeros((1, 0), dtype=np.int64)
+    decide(ours.scenes, ours.everyone, nobody, HZ * seconds, float(seconds))
+
+
+def stock_network(edges: Any) -> Any:
+    """highway-env's network of the same lanes."""
+    network: Any = import_module("highway_env.road.road").RoadNetwork()
+    for start_node, end_node, lane in edges:
+        network.add_lane(start_node, end_node, _stock_lane(lane))
+    return network
+
+
+def _stock_lane(lane: Lane) -> Any:
+    module: Any = import_module("highway_env.road.lane")
+    values = {each.name: getattr(lane, each.name) for each in fields(lane)}
+    values["line_types"] = None
+    if not isinstance(lane, PolyLane):
+        for name in ("start", "end", "center"):
+            if name in values:
+                values[name] = np.array(values[name], dtype=np.float64)
+        return getattr(module, type(lane).__name__)(**values)
+    points, widths = values.pop("points"), values.pop("widths")
+    found = module.PolyLaneFixedWidth(lane_points=list(points), **values)
+    if widths:
+        # `PolyLane` would measure them between boundaries.
+        found.__class__, found.width_samples = module.PolyLane, list(widths)
+    return found
+
+
+def stock_road(ours: Episodes, network: Any, names: list[Any]) -> Any:
+    """highway-env's road with the same vehicles."""
+    kind: Any = import_module("highway_env.vehicle.behavior").IDMVehicle
+    regulation: Any = import_module("highway_env.road.regulation")
+    general: Any = import_module("highway_env.road.road")
+    regulated = bool(ours.task.regulation_steps)
+    road = (regulation.RegulatedRoad if regulated else general.Road)(
+        network,
+        np_random=np.random.RandomState(0),
+        neighbour_vehicles_connected_lanes=bool(ours.config["neighbour_vehicles_connected_lanes"]),
+    )
+    forwards = type("ForwardIDMVehicle", (kind,), {"MIN_SPEED": 0.0})
+    for row in _present(ours):
+        vehicle = forwards(
+            road,
+            [float(row["x"]), float(row["y"])],
+            float(row["heading"]),
+            float(row["speed"]),
+            target_speed=float(row["target_speed"]),
+            route=route_of(row, names) or None,
+            timer=float(row["timer_s"]),
+        )
+        vehicle.DELTA = float(row["exponent"])
+        road.vehicles.append(vehicle)
+    return road
+
+
+def advance_stock(road: Any, steps: int) -> None:
+    """Advances highway-env's road by so many simulation steps."""
+    for _ in range(steps):
+        for vehicle in road.vehicles:
+            if not vehicle.crashed and not getattr(vehicle, "is_yielding", False):
+                vehicle.target_speed = _speed_ahead(vehicle)
+        road.act()
+        road.step(1 / HZ)
+
+
+def _speed_ahead(vehicle: Any) -> float:
+    """See `looking_ahead.speed_ahead`."""
+    network, (start_node, end_node, number) = vehicle.road.network, vehicle.lane_index
+    own = network.get_lane(vehicle.lane_index)
+    speed = float(own.speed_limit)
+    distance = own.length - own.local_coordinates(vehicle.position)[0]
+    for one, other, given in vehicle.route or ():
+        if (one, other) == (start_node, end_node):
+            continue
+        if distance > HORIZON_M:
+            break
+        lanes = network.graph[one][other]
+        number = min(number if given is None else given, len(lanes) - 1)
+        limit = lanes[number].speed_limit
+        speed = min(speed, math.sqrt(limit * limit + 2 * BRAKING_MPS2 * max(distance, 0.0)))
+        distance += lanes[number].length
+    return speed
+
+
+def _present(ours: Episodes) -> list[Any]:
+    order = ours.scenes.order["place"][0]
+    return [each for each in ours.scenes.vehicles[0, order] if each["kind"] > OBSTACLE]
+
+
+def _apart(stock: Any, ours: Episodes, names: list[Any]) -> tuple[float, str]:
+    """The largest difference now, and of what."""
+    pairs: dict[str, tuple[Any, Any]] = {}
+    for k, (row, theirs) in enumerate(zip(_present(ours), stock.vehicles, strict=True)):
+        values = {**vars(theirs), **theirs.action}
+        values |= dict(zip("xy", theirs.position, strict=True))
+        numbers = [each for each in NUMBERS if each in values]
+        pairs |= {f"{each} of vehicle {k}": (row[each], values[each]) for each in numbers}
+        same = {
+            "lane": names[row["lane"]] == theirs.lane_index,
+            "target lane": names[row["target_lane"]] == theirs.target_lane_index,
+            "crashed": row["crashed"] == theirs.crashed,
+            "yielding": row["is_yielding"] == getattr(theirs, "is_yielding", False),
+            "route": route_of(row, names) == [tuple(each) for each in theirs.route or ()],
+        }
+        pairs |= {f"{what} of vehicle {k}": (0.0, 0.0 if same[what] else np.inf) for what in same}
+        pairs[f"timer of vehicle {k}"] = row["timer_s"], theirs.timer
+    apart = {what: difference(*pair) for what, pair in pairs.items()}
+    what = max(apart, key=lambda name: apart[name])
+    return apart[what], f"{what}: {pairs[what][0]!r} (ours), {pairs[what][1]!r} (highway-env)"
+
+
+def speed_ratio(path: Path, vehicles: int, seconds: int, seed: int = 0) -> tuple[float, float]:
+    """The seconds that a run and highway-env take for the same work, on one thread."""
+    ours = episodes_of_map(path, vehicles)
+    road = NamedRoad.model_validate({"file": path})
+    network = stock_network(driven_lanes(map_of(path, str(road.sha256))))
+    start(ours, seed)
+    stock = stock_road(ours, network, [*network.lanes_dict()])
+    before = perf_counter()
+    advance_stock(stock, HZ * seconds)
+    theirs = perf_counter() - before
+    took = []
+    for _ in range(10):
+        start(ours, seed)
+        before = perf_counter()
+        advance(ours, seconds)
+        took.append(perf_counter() - before)
+    return min(took), theirs
