@@ -52,6 +52,7 @@ from charms_bench.roads.scenes import (
 )
 from charms_bench.roads.stepping import collide, move_all
 from charms_bench.roads.straightened import BEHIND, Ways, find_way, straighten
+from charms_bench.roads.views import RoadViews
 from charms_bench.world.actions import Actions, MetaAction, controls_of
 from charms_bench.world.gaps import gap_to, is_within, requires_braking
 from charms_bench.world.plan import Lines, Plan, lines_of
@@ -264,6 +265,9 @@ class RoadEngine(Shown):
     @cached_property
     def _lines(self) -> Lines:
         return lines_of(self.episodes.scenes.road)
+
+    def views(self) -> RoadViews:
+        return RoadViews(self._settings, self.episodes.scenes, self.state, self._fault)
 
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
         rows, places = vehicles
