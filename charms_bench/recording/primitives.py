@@ -72,8 +72,8 @@ class Frames(NamedTuple):
 class Primitives:
     """Takes frames of a simulation with B scenes, which begin now.
 
-    With `views`, each vehicle is described along its own way, without its neighbours, and else along
-    that of the ego; on the straight road, this is the same.
+    With `views`, each vehicle is described along its own way, without its neighbours, and else
+    along that of the ego; on the straight road, this is the same.
     """
 
     def __init__(self, simulation: Simulation, views: Views | None = None) -> None:

@@ -1,9 +1,9 @@
 """What the traffic does on a road where vehicles drive different ways.
 
-Each vehicle is described along its own way, on which it sees the others: the leader, the followers
-and the lanes are those of the straight road. Along its way, a vehicle has near misses as the
-follower, encroaches or is encroached upon, and changes lanes as on the straight road. If it comes to
-another road, it changes no lane.
+Each vehicle is described along its own way, on which it sees the others: its leader, its followers
+and its lanes are found as on the straight road. An event belongs to the way of the vehicle that
+follows or changes lanes. A vehicle that comes to another road, whose lanes have other numbers,
+changes no lane.
 """
 
 from typing import Any

@@ -22,9 +22,7 @@ class RoadViews:
         fault: Judges their collisions.
     """
 
-    def __init__(
-        self, settings: SceneSettings, scenes: Scenes, state: Scene, fault: Fault
-    ) -> None:
+    def __init__(self, settings: SceneSettings, scenes: Scenes, state: Scene, fault: Fault) -> None:
         self._settings, self._scenes, self._state, self._fault = settings, scenes, state, fault
         count = len(scenes.vehicles)
         self._ways = Ways.empty(*state.x.shape)
