@@ -63,7 +63,7 @@ class Engine(Protocol):
             rows: (R,) the scenes to spawn.
             seeds: (R,) their seeds; a scene depends on its seed and the settings alone.
             agents: (R, N) the agent of the ego, then those of the other vehicles by their places.
-            draws: (R, 4 N + 1) place the vehicles instead of the seeds; see `engine.draws`.
+            draws: (R, D) place the vehicles instead of the seeds; see `engine.draws`.
         """
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:

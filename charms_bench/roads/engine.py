@@ -26,9 +26,9 @@ from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.shown import Shown
 from charms_bench.engine.state import ARRAYS
 from charms_bench.engine.stepping import BeforeMove
-from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
+from charms_bench.foundation.generator import seeded, with_draws
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.entries import Entries
@@ -158,10 +158,11 @@ class RoadEngine(Shown):
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
-        if draws is not None:
-            raise InputError(f"{self.episodes.name}: vehicles are placed by seeds only")
         episodes, scene = self.episodes, self._seen
-        episodes.seed(rows, seeds)
+        if draws is None:
+            episodes.seed(rows, seeds)
+        else:
+            self._give(draws, rows, seeds)
         episodes.start(rows)
         episodes.task.navigate(episodes.scenes, rows)
         scene.ego[rows], scene.active[rows], self.drivers[rows] = 0, True, agents
@@ -176,6 +177,16 @@ class RoadEngine(Shown):
         self._entries.start(rows, episodes.task.entering(episodes.scenes)[rows])
         self._fault.start(rows)
         self._show(rows)
+
+    def _give(self, draws: Floats, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+        """Has the random generators of the scenes `rows` draw what is given."""
+        scenes = self.episodes.scenes
+        given = with_draws(seeded(seeds), draws)
+        if scenes.generator.shape[1] != given.shape[1]:
+            generator = np.zeros((len(scenes.generator), given.shape[1]), dtype=np.uint64)
+            self.episodes.scenes = scenes._replace(generator=generator)
+            vars(self).pop("state", None)
+        self.episodes.scenes.generator[rows] = given
 
     def renew(self, rows: Ints, agents: Ints) -> Vehicles:
         scenes, ways = self.episodes.scenes, self._ways

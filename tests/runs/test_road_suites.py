@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from scenes import scene_of
 
 from charms_bench import read_road
-from charms_bench.api import open_run, rare
+from charms_bench.api import open_run
 from charms_bench.api.evaluation import run as run_file
 from charms_bench.engine.collision_kinds import (
     ANY_ANGLE,
@@ -148,7 +148,6 @@ def test_a_planner_takes_over_in_a_recorded_episode(made: Any) -> None:
     [
         lambda made, path: made.dataset("highd", output=path, **BEND),
         lambda made, path: cases_of(made.suite),
-        lambda made, path: rare(made.path.parent / "roads.yaml", output=path),
         lambda made, path: standard(made.suite, path, read_population("i75")),
     ],
 )
