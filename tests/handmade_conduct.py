@@ -54,7 +54,7 @@ def conduct(ends: bool = True, every: int = 1, **fields: Any) -> list[dict[str, 
         collision_watchers=[],
         ego_agent="0",
         agents=tuple(map(str, range(vehicles))),
-        engine=SimpleNamespace(drivers=np.arange(vehicles)[None]),
+        engine=SimpleNamespace(state=scene, drivers=np.arange(vehicles)[None]),
         ego_vehicles=(np.array([0]), np.array([0])),
         seeds=np.zeros(1, dtype=np.uint64),
     )

@@ -57,14 +57,15 @@ class ShownReplay(Replay):
         """Writes the episode as a CommonRoad scenario with one time step per simulation step.
 
         Vehicle k, the ego included, is the dynamic obstacle 1001 + k, and lane k is the lanelet
-        k + 1. The planning problem has the ego's initial state and the duration of the episode.
+        k + 1. The planning problem has the ego's initial state and the duration of the episode. On
+        one of highway-env's roads, the lanelets are its lanes with their bends and successors, and
+        obstacles are static.
 
         Args:
             path: The file; its name ends in `.xml`.
 
         Raises:
-            InputError: The file's name does not end in `.xml`, the file cannot be written, or the
-                episode is on a road of highway-env that is not straight.
+            InputError: The file's name does not end in `.xml`, or the file cannot be written.
         """
         from charms_bench.episodes.commonroad import write_commonroad
 

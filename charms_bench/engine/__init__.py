@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine.stepping import BeforeMove
+from charms_bench.engine.views import Views
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions, MetaAction
 from charms_bench.world.plan import Plan
@@ -62,7 +63,7 @@ class Engine(Protocol):
             rows: (R,) the scenes to spawn.
             seeds: (R,) their seeds; a scene depends on its seed and the settings alone.
             agents: (R, N) the agent of the ego, then those of the other vehicles by their places.
-            draws: (R, 4 N + 1) place the vehicles instead of the seeds; see `engine.draws`.
+            draws: (R, D) place the vehicles instead of the seeds; see `engine.draws`.
         """
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
@@ -88,6 +89,9 @@ class Engine(Protocol):
 
     def plan(self, row: int) -> Plan | None:
         """Where the vehicles of a scene are on its road, for pictures; None if it is straight."""
+
+    def views(self) -> Views:
+        """What each vehicle sees along its own way, from now on; not of the straight road."""
 
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
         """The scenes as M vehicles see them, read-only, and these vehicles there."""

@@ -4,6 +4,9 @@ A scene of N vehicles follows from 4 N + 1 numbers in [0, 1), which are independ
 for the ego's place, then four per vehicle in the order of spawning, for its lane, its speed, its
 distance to the furthest vehicle before it, and its temperament. The ego's speed is fixed, so its
 number has no effect. An integer from 0 to n - 1 is the integer part of n times its number.
+
+On a road of highway-env, how many numbers an episode draws depends on the numbers: vehicles also
+come while it lasts. Its generator draws the given ones in their order, and more from its seed.
 """
 
 import numpy as np
@@ -12,8 +15,18 @@ from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import State, random, share_of_integers
 from charms_bench.world.scene import Floats, SceneSettings
 
+PER_VEHICLE = 8
+"""How many numbers of an episode on a road are given: this, times the places for vehicles. Few
+roads draw more for a vehicle, at an intersection 7: whether and where it comes, its place, its
+speed, and how it drives."""
 LANE, SPEED, DISTANCE, TEMPERAMENT = range(1, 5)
 """The columns of the first vehicle's draws; column 0 is the ego's place."""
+
+
+def count_of(settings: SceneSettings) -> int:
+    """D, the number of draws of an episode that can be given."""
+    is_straight = settings.network is None
+    return 4 * settings.vehicles + 1 if is_straight else PER_VEHICLE * settings.vehicles
 
 
 def draws_of(generators: State, settings: SceneSettings) -> Floats:

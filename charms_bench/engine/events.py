@@ -8,6 +8,7 @@ from charms_bench.foundation.compiled import compiled
 from charms_bench.plugins.consistency import CheckedEvent
 from charms_bench.plugins.event import Event
 from charms_bench.world.gaps import overlap
+from charms_bench.world.road_network import Network
 from charms_bench.world.scene import Floats, Ints, Scene
 
 HORIZON_S = 100.0
@@ -27,9 +28,11 @@ class Crash(Event):
 
     definition = "the ego collides or leaves the road"
     includes_failure = True
+    sees_network = True
 
     def level(self, scene: Scene, rows: Ints) -> Floats:
-        _, inverse_decelerations = closest(scene, rows)
+        find = closest_on_network if isinstance(scene.road, Network) else closest
+        _, inverse_decelerations = find(scene, rows)
         return np.maximum(inverse_decelerations, TOUCHING_S2_PER_M)
 
 
@@ -74,10 +77,13 @@ def lowest_levels(simulation: Simulation, event: Event) -> Floats:
         AgentError: An agent fails, or the event's levels are unusable.
     """
     lowest = np.full(simulation.seeds.size, np.inf)
-    shown = simulation.scene.read_only()
+    on_network, shown = simulation.settings.network is not None, simulation.scene.read_only()
     while (rows := np.nonzero(simulation.scene.active)[0]).size:
         for _ in range(simulation.settings.steps_per_decision):
             simulation.advance()
+            if on_network:  # where the ego's view is made when it is asked for
+                seen = simulation.engine.state if event.sees_network else simulation.scene
+                shown = seen.read_only()
             lowest[rows] = np.minimum(lowest[rows], _checked(event, shown, rows))
         simulation.finish_step()
     if event.includes_failure:
@@ -98,6 +104,40 @@ def _checked(event: Event, scene: Scene, rows: Ints) -> Floats:
             return levels
         what = f"returned shape {levels.shape}, or NaN; expected {rows.shape} numbers"
     raise AgentError(f"event '{name}': level {what}")
+
+
+@compiled
+def closest_on_network(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
+    """As `closest`, among vehicles of any direction.
+
+    Each keeps its velocity, and another vehicle is the rectangle along the ego that contains it.
+    """
+    times = np.full(rows.size, HORIZON_S)
+    inverse_decelerations = np.full(rows.size, HARMLESS_S2_PER_M)
+    for r in range(rows.size):
+        b = rows[r]
+        ego = scene.ego[b]
+        cos, sin, speed = scene.direction_x[b, ego], scene.direction_y[b, ego], scene.speed[b, ego]
+        for i in range(scene.x.shape[1]):
+            if i == ego or not scene.present[b, i]:
+                continue
+            dx, dy = scene.x[b, i] - scene.x[b, ego], scene.y[b, i] - scene.y[b, ego]
+            own_x, own_y = scene.direction_x[b, i], scene.direction_y[b, i]
+            with_ego, across_ego = own_x * cos + own_y * sin, own_y * cos - own_x * sin
+            along, across = scene.speed[b, i] * with_ego - speed, scene.speed[b, i] * across_ego
+            long, wide = scene.length[b, i], scene.width[b, i]
+            length = scene.length[b, ego] + long * abs(with_ego) + wide * abs(across_ego)
+            width = scene.width[b, ego] + long * abs(across_ego) + wide * abs(with_ego)
+            begin, end = overlap(dx * cos + dy * sin, along, length / 2)
+            start, stop = overlap(dy * cos - dx * sin, across, width / 2)
+            time = max(begin, start, 0.0)
+            if time > min(end, stop):
+                continue
+            closing = abs(along) if begin >= start else abs(across)
+            times[r] = min(times[r], time)
+            if 2 * time < inverse_decelerations[r] * closing:
+                inverse_decelerations[r] = 2 * time / closing
+    return times, inverse_decelerations
 
 
 @compiled

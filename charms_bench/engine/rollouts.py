@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from charms_bench.engine.endings import are_off_road
 from charms_bench.engine.prescribed import TEMPERAMENT
 from charms_bench.engine.running import RunningEpisodes
 from charms_bench.engine.state import SceneState, state_of
@@ -21,6 +22,8 @@ from charms_bench.world.scene import Bools, Floats, Ints, Vehicles
 
 SCENES = 512
 """Scenes that are simulated at once."""
+VIEWED = 2**18
+"""Vehicles in the views of all vehicles of these scenes, at most, where each sees its own."""
 
 
 class Outcomes(NamedTuple):
@@ -79,6 +82,10 @@ class Futures:
     def __init__(self, simulation: RunningEpisodes, planner: Policy) -> None:
         self._made, self._planner = simulation, planner
         self._period = round(simulation.settings.simulation_hz / planner.decision_hz)
+        self._on_network = simulation.settings.network is not None
+        self._scenes = SCENES
+        if self._on_network:
+            self._scenes = min(SCENES, max(1, VIEWED // simulation.settings.vehicles**2))
         self._beside: Any = None
 
     def of(self, vehicles: Vehicles) -> Rollouts:
@@ -87,12 +94,14 @@ class Futures:
 
     @property
     def _simulation(self) -> Any:
-        """A simulation of `SCENES` scenes, made when it is first needed."""
+        """A simulation of `_scenes` scenes, made when it is first needed."""
         if self._beside is None:
             others, actions = self._planner.rollouts_with, self._planner.actions
             agents, simulation = {others: others_of(self._planner)}, type(self._made)
+            kind = self._made.kind_of_engine if self._on_network else "batched"
+            scenes, traffic = self._scenes, OneAgent(others)
             self._beside = simulation(
-                self._made.settings, SCENES, None, OneAgent(others), agents, actions=actions
+                self._made.settings, scenes, None, traffic, agents, kind, actions=actions
             )
             sources = self._beside.sources
             self._beside.sources = tuple(each for each in sources if each.is_foreseen)
@@ -119,13 +128,14 @@ class Futures:
         is_ego = self._made.scene.ego[rows] == places
         for part in (np.nonzero(is_ego)[0], np.nonzero(~is_ego)[0]):
             each = (part[:, None] * shape[1] + np.arange(shape[1])).ravel()
-            for start in range(0, each.size, SCENES):
-                index = each[start : start + SCENES]
+            for start in range(0, each.size, self._scenes):
+                index = each[start : start + self._scenes]
                 which = index // shape[1]
                 state = self._state((rows[which], places[which]))
                 given = plans.reshape(-1, *plans.shape[2:])[index]
                 holds = bool(is_ego[which[0]])
-                for array, values in zip(flat, self._driven(state, given, holds), strict=True):
+                driven = self._driven(state, places[which], given, holds)
+                for array, values in zip(flat, driven, strict=True):
                     array[index] = values
         return found
 
@@ -149,7 +159,7 @@ class Futures:
             **{
                 **state.arrays(),
                 "drivers": np.array(index)[state.drivers],
-                "ego": places,
+                "ego": state.ego if self._on_network else places,
                 "repeats": repeats,
                 "ending": np.zeros(rows.size, dtype=np.int64),
                 "active": np.ones(rows.size, dtype=np.bool_),
@@ -157,35 +167,45 @@ class Futures:
             },
         )
 
-    def _driven(self, state: SceneState, plans: Actions, holds: bool) -> list[Any]:
-        """The outcomes (S, H) of plans (S, H), one for each scene of a state."""
+    def _driven(self, state: SceneState, places: Ints, plans: Actions, holds: bool) -> list[Any]:
+        """The outcomes (S, H) of plans (S, H) of the vehicles at some places (S,) of a state."""
         made, scenes = self._simulation, np.arange(len(state))
         made.holds_egos = holds and self._made.holds_egos
+        # On a network, the ego is always the first vehicle, and others outlast its episode.
+        made.egos_end_episodes = bool((state.ego == places).all())
         made.scene.active[:] = False
         made.restore(state, scenes)
         for agent, ranges in made.ranges.items():
             middles = [(low + high) / 2 for low, high in ranges.values()]
             made.scene.parameters[made.engine.drivers == agent, : len(ranges)] = middles
-        egos, c = (scenes, made.scene.ego[scenes]), made.settings
-        found = []
+        own, c = (scenes, places), made.settings
+        failed, found = np.zeros(scenes.size, dtype=np.bool_), []
         for decision in range(plans.shape[1]):
-            made.command(egos, plans[:, decision])
+            made.command(own, plans[:, decision])
             for _ in range(self._period):
                 made.advance()
                 if made.phase == c.steps_per_decision:
                     made.finish_step()
-            found.append(self._now(egos))
+            now = self._now(own)
+            failed = failed | now[-1]
+            found.append((*now[:-1], failed))
         return [np.stack(each, axis=1) for each in zip(*found, strict=True)]
 
-    def _now(self, egos: Vehicles) -> tuple[Any, ...]:
-        """The values (S,) of `Outcomes` for the egos of the first S scenes."""
-        scene, lane = self._simulation.scene, self._simulation.scene.lane[egos]
-        leader, present = scene.leader(egos, lane)
-        ahead = (egos[0], leader)
-        gap = np.where(present, scene.x[ahead] - scene.x[egos], np.inf)
+    def _now(self, own: Vehicles) -> tuple[Any, ...]:
+        """The values (S,) of `Outcomes` for vehicles of the first S scenes."""
+        made = self._simulation
+        scene, seen = made.engine.seen_by(own)
+        lane = scene.lane[seen]
+        leader, present = scene.leader(seen, lane)
+        ahead = (seen[0], leader)
+        gap = np.where(present, scene.x[ahead] - scene.x[seen], np.inf)
         leader_speed = np.where(present, scene.speed[ahead], 0.0)
-        failed = self._simulation.failed[egos[0]]
-        return scene.x[egos], scene.y[egos], scene.speed[egos], lane, gap, leader_speed, failed
+        failed = made.failed[own[0]]
+        if not made.egos_end_episodes:
+            failed = made.engine.state.crashed[own]
+            if made.settings.profile.offroad_terminal:
+                failed = failed | are_off_road(scene, *seen)
+        return scene.x[seen], scene.y[seen], scene.speed[seen], lane, gap, leader_speed, failed
 
 
 _DTYPES = (float, float, float, np.int64, float, float, np.bool_)

@@ -52,6 +52,8 @@ class RunningEpisodes:
         actions: ActionsLike = "meta",
     ) -> None:
         self.settings = settings
+        self.kind_of_engine = engine
+        """The name of the engine, or what makes it."""
         self.seeds = np.zeros(scenes, dtype=np.uint64)
         """[B] the episodes' seeds."""
         self.steps = np.zeros(scenes, dtype=np.int64)

@@ -3,6 +3,7 @@
 from functools import cached_property
 from typing import Any
 
+from charms_bench.engine.views import Views
 from charms_bench.world.plan import Plan
 from charms_bench.world.scene import Ints, Scene, Vehicles
 
@@ -20,6 +21,10 @@ class Shown:
     def renew(self, rows: Ints, agents: Ints) -> Vehicles:
         """None, since no road lets vehicles enter."""
         return rows[:0], rows[:0]
+
+    def views(self) -> Views:
+        """None: along the straight road, all vehicles see the same."""
+        raise NotImplementedError
 
     def plan(self, row: int) -> Plan | None:
         """None, since the road is straight."""

@@ -73,7 +73,7 @@ class Simulation(RunningEpisodes):
     ) -> None:
         """Starts an episode in each of the scenes `rows`; by default, in all scenes.
 
-        If `draws` (R, 4 N + 1) are given, vehicles are placed by them (see `engine.draws`), and the
+        If `draws` (R, D) are given, vehicles are placed by them (see `engine.draws`), and the
         seeds only decide what the traffic, types and drivers' parameters draw.
         """
         rows = np.arange(self.seeds.size) if rows is None else rows

@@ -26,7 +26,7 @@ class Source:
         Args:
             rows: (R,) the scenes; `RunningEpisodes.seeds` has their seeds.
             seats: (R, N) the agent of the ego, and then those of the other vehicles.
-            draws: (R, 4 N + 1) place drawn vehicles instead of the seeds; see `engine.draws`.
+            draws: (R, D) place drawn vehicles instead of the seeds; see `engine.draws`.
         """
 
     def resume(self, rows: Ints) -> None:

@@ -15,6 +15,7 @@ from charms_bench.engine.parameters import set_parameters
 from charms_bench.engine.running import RunningEpisodes
 from charms_bench.engine.source import Source
 from charms_bench.errors import InputError, suggestion
+from charms_bench.foundation.generator import WORDS
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.road import position
 from charms_bench.world.scene import VACANT_X_M, Bools, Floats, Ints, Scene, SceneSettings
@@ -220,6 +221,7 @@ def _holder(simulation: RunningEpisodes, name: str) -> Any:
 def state_of(simulation: RunningEpisodes, rows: Ints) -> SceneState:
     """Saves the scenes `rows` (S,) of a simulation."""
     arrays = {name: getattr(_holder(simulation, name), name)[rows] for name in OF_SCENE}
+    arrays["generator"] = arrays["generator"][:, :WORDS]  # given draws are no part of a state
     arrays["action"][~arrays["has_action"]] = 0
     arrays["impact_x"][~arrays["impact"]] = 0.0
     arrays["impact_y"][~arrays["impact"]] = 0.0

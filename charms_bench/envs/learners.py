@@ -21,7 +21,7 @@ from charms_bench.errors import InputError, ScenarioError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
 from charms_bench.world.action_mask import ActionMasks, action_masks
-from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, ActionsLike, meta_actions_of
+from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, meta_actions_of
 from charms_bench.world.observations import Observation, neighbours
 from charms_bench.world.scene import (
     Bools,
@@ -119,7 +119,7 @@ class Learners:
         if len(self.numbers) == settings.vehicles > 1:
             driven = OneAgent("")
         like = self.actions.like
-        engine = _engine_of(settings, agents, like, len(self.numbers), title)
+        engine = _engine_of(settings, agents, title)
         with self._placing():
             self.simulation = Simulation(settings, scenes, None, driven, agents, engine, like)
         if len(self.numbers) > 1 and self.simulation.engine.renewal_steps:
@@ -315,27 +315,20 @@ class FromOutside(Traffic):
 
 
 def _engine_of(
-    settings: SceneSettings,
-    agents: Mapping[str, Agent],
-    like: ActionsLike,
-    learners: int,
-    title: str,
+    settings: SceneSettings, agents: Mapping[str, Agent], title: str
 ) -> EngineName | MakeEngine:
     """The engine of the straight road, or that of a road.
 
     Raises:
-        InputError: The learners' actions or an agent cannot drive on the road.
+        InputError: An agent cannot drive on the road.
     """
     if settings.network is None:
         return "batched"
     from charms_bench.roads.engine import RoadEngine
-    from charms_bench.roads.settings import problem_of_actions, problem_of_driver  # slow to import
+    from charms_bench.roads.settings import problem_of_driver  # slow to import
 
-    for is_ego in (True, False)[:learners]:
-        if what := problem_of_actions(like, settings, is_ego):
-            raise InputError(f"{title}: actions: on the road '{settings.network}': {what}")
     for name, agent in agents.items():
-        if what := problem_of_driver(agent, settings, is_ego=False):
+        if what := problem_of_driver(agent):
             raise InputError(
                 f"{title}: agent '{name}' cannot drive on the road '{settings.network}': {what}"
             )

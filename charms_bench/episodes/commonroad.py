@@ -5,6 +5,7 @@ newer releases of onnxruntime rule out; a run is replayed with the onnxruntime t
 CommonRoad's y axis points to the left and its headings are positive to the left.
 """
 
+import math
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -14,6 +15,9 @@ import numpy as np
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import write_bytes
+from charms_bench.world.plan import Plan
+from charms_bench.world.road import position, width_at
+from charms_bench.world.road_network import NO_LINE, SOLID, SOLID_LINE, STRIPED, Network
 from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
 FIRST_VEHICLE = 1001
@@ -23,6 +27,11 @@ DATE = "1970-01-01"
 """The format requires a date; with this one, the same episode is always the same file."""
 MARGIN_M = 100.0
 POINT_DISTANCE_M = 10.0
+BEND_DISTANCE_M = 1.0
+"""Between the points of the bounds of lanes that can be bent; a circle of 20 m is then 6 mm off."""
+TOUCHING_M = 0.5
+"""A lane follows another one if it starts at most so far from its end."""
+_MARKINGS = {NO_LINE: "no_marking", STRIPED: "dashed", SOLID: "solid", SOLID_LINE: "solid"}
 
 
 def check_commonroad(path: Path) -> None:
@@ -34,7 +43,6 @@ def check_commonroad(path: Path) -> None:
 def write_commonroad(replay: Replay, path: Path) -> None:
     """Writes an episode, one time step per simulation step; see `ShownReplay.write_commonroad`."""
     check_commonroad(path)
-    replay.cell.scene.check_straight("CommonRoad scenarios are written of")
     root = Element(
         "commonRoad",
         commonRoadVersion="2020a",
@@ -50,14 +58,21 @@ def write_commonroad(replay: Replay, path: Path) -> None:
     for name, value in (("geoNameId", "-999"), ("gpsLatitude", "999"), ("gpsLongitude", "999")):
         SubElement(location, name).text = value
     tags = SubElement(root, "scenarioTags")
-    for tag in ("highway", "multi_lane", "no_oncoming_traffic", "simulated"):
-        SubElement(tags, tag)
-    _add_lanelets(root, replay)
-    for vehicle in np.nonzero(replay.present.any(axis=0))[0].tolist():
-        _add_vehicle(root, replay, vehicle)
+    moving: Replay | Plan = replay
+    if replay.plan is None:
+        for tag in ("highway", "multi_lane", "no_oncoming_traffic"):
+            SubElement(tags, tag)
+        SubElement(tags, "simulated")
+        _add_lanelets(root, replay)
+    else:
+        moving = replay.plan
+        SubElement(tags, "simulated")
+        _add_lanelets_of(root, moving.road)
+    for vehicle in np.nonzero(moving.present.any(axis=0))[0].tolist():
+        _add_vehicle(root, moving, vehicle)
     # The planning problem is the ego's start, and as its goal the time when the episode ends.
     problem = SubElement(root, "planningProblem", id=str(PLANNING_PROBLEM))
-    _add_state(problem, "initialState", replay, replay.ego, 0)
+    _add_state(problem, "initialState", moving, replay.ego, 0)
     time = SubElement(SubElement(problem, "goalState"), "time")
     for name in ("intervalStart", "intervalEnd"):
         SubElement(time, name).text = str(len(replay.t_s) - 1)
@@ -84,21 +99,61 @@ def _add_lanelets(root: Element, replay: Replay) -> None:
         SubElement(lanelet, "userOneWay").text = "vehicle"
 
 
-def _add_vehicle(root: Element, replay: Replay, vehicle: int) -> None:
-    obstacle = SubElement(root, "dynamicObstacle", id=str(FIRST_VEHICLE + vehicle))
+def _add_lanelets_of(root: Element, road: Network) -> None:
+    """The lanes of a network; lane k is the lanelet k + 1."""
+    table = road.lanes
+    follows = [_following(road, lane) for lane in range(table.size)]
+    for lane, row in enumerate(table):
+        lanelet = SubElement(root, "lanelet", id=str(lane + 1))
+        steps = max(1, math.ceil(row["length"] / BEND_DISTANCE_M))
+        along = np.linspace(0.0, row["length"], steps + 1)
+        for name, side in (("leftBound", -0.5), ("rightBound", 0.5)):
+            bound = SubElement(lanelet, name)
+            for s in along.tolist():
+                _add_point(bound, *position(road, lane, s, side * width_at(road, lane, s)))
+            line = row["line_left" if side < 0 else "line_right"]
+            SubElement(bound, "lineMarking").text = _MARKINGS[line]
+        for before in (k for k, each in enumerate(follows) if lane in each):
+            SubElement(lanelet, "predecessor", ref=str(before + 1))
+        for after in follows[lane]:
+            SubElement(lanelet, "successor", ref=str(after + 1))
+        for name, other in (("adjacentLeft", row["left"]), ("adjacentRight", row["right"])):
+            if other >= 0:
+                SubElement(lanelet, name, ref=str(other + 1), drivingDir="same")
+        SubElement(lanelet, "laneletType").text = "unknown"
+        SubElement(lanelet, "userOneWay").text = "vehicle"
+
+
+def _following(road: Network, lane: int) -> list[int]:
+    """The lanes that start where a lane ends."""
+    row = road.lanes[lane]
+    x, y = position(road, lane, row["length"], 0.0)
+    roads = road.successors[row["next_roads"] : row["next_roads"] + row["next_count"]].tolist()
+    lanes = [k for first in roads for k in range(first, first + road.lanes["lanes"][first])]
+    starts = {k: position(road, k, 0.0, 0.0) for k in lanes}
+    return [k for k, (u, v) in starts.items() if math.hypot(u - x, v - y) <= TOUCHING_M]
+
+
+def _add_vehicle(root: Element, replay: Replay | Plan, vehicle: int) -> None:
+    is_obstacle = isinstance(replay, Plan) and bool(replay.is_obstacle[0, vehicle])
+    kind = "staticObstacle" if is_obstacle else "dynamicObstacle"
+    obstacle = SubElement(root, kind, id=str(FIRST_VEHICLE + vehicle))
     length, width = float(replay.length[0, vehicle]), float(replay.width[0, vehicle])
-    SubElement(obstacle, "type").text = "car" if length < TRUCK_LENGTH_M else "truck"
+    of_size = "car" if length < TRUCK_LENGTH_M else "truck"
+    SubElement(obstacle, "type").text = "constructionZone" if is_obstacle else of_size
     shape = SubElement(SubElement(obstacle, "shape"), "rectangle")
     SubElement(shape, "length").text = _decimal(length)
     SubElement(shape, "width").text = _decimal(width)
     first, *others = np.nonzero(replay.present[:, vehicle])[0].tolist()
     _add_state(obstacle, "initialState", replay, vehicle, first)
+    if is_obstacle:
+        return
     trajectory = SubElement(obstacle, "trajectory")
     for frame in others:
         _add_state(trajectory, "state", replay, vehicle, frame)
 
 
-def _add_state(parent: Element, kind: str, replay: Replay, vehicle: int, frame: int) -> None:
+def _add_state(parent: Element, kind: str, replay: Replay | Plan, vehicle: int, frame: int) -> None:
     state, place = SubElement(parent, kind), (frame, vehicle)
     _add_point(SubElement(state, "position"), replay.x[place], replay.y[place])
     values = {

@@ -161,7 +161,7 @@ def check_guests(guests: Mapping[str, Agent], scene: SceneSettings) -> None:
     from charms_bench.roads.settings import problem_of_driver  # slow to import
 
     for name, agent in guests.items():
-        if problem := problem_of_driver(agent, scene):
+        if problem := problem_of_driver(agent):
             raise InputError(
                 f"agent '{name}' cannot drive on the road '{scene.network}': {problem}"
             )

@@ -37,12 +37,15 @@ TRAJECTORY_SCHEMA = pl.Schema(
         "width": pl.Float64(),  # m
         "speed": pl.Float64(),  # m/s
         "acceleration": pl.Float64(),  # m/s2, as commanded
-        "lane": pl.Int8(),  # the nearest lane, 0 is the leftmost; null on highway-env's roads
+        "lane": pl.Int8(),  # the nearest lane, 0 is the leftmost; on other roads, see below
         "target_lane": pl.Int8(),
         "action": pl.Int8(),  # `Replay.action_names`; null before the first, under a driver model
         "crashed": pl.Boolean(),
     }
 )
+_SCHEMA_OF_ROADS = pl.Schema({**TRAJECTORY_SCHEMA, "lane": pl.Int32(), "target_lane": pl.Int32()})
+"""On one of highway-env's roads, lanes are rows of `Network.lanes`; in a CommonRoad scenario of the
+episode, they are lanelets, counted from 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,9 +104,9 @@ class Replay(Motion):
         if self.plan is not None:
             present = self.plan.present & ~self.plan.is_obstacle
             columns |= {name: getattr(self.plan, name).ravel() for name in OF_VEHICLES}
-            columns |= {"lane": None, "target_lane": None}
         rows = pl.DataFrame(columns).filter(pl.Series(present.ravel()))
-        return rows.select(TRAJECTORY_SCHEMA.names()).cast(TRAJECTORY_SCHEMA)
+        schema = TRAJECTORY_SCHEMA if self.plan is None else _SCHEMA_OF_ROADS
+        return rows.select(schema.names()).cast(schema)
 
 
 _OF_SCENE = (

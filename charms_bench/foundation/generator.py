@@ -18,7 +18,8 @@ from charms_bench.foundation.compiled import compiled, inlined
 Words = NDArray[np.uint64]
 State = NDArray[np.uint64]
 """(6,) high and low word of the state, the same of its increment, the half of a word that the next
-integer takes, and whether there is one."""
+integer takes, and whether there is one. A state with given draws is longer; see `with_draws`."""
+WORDS = 6
 
 _LOW = np.uint64(0xFFFFFFFF)
 _STRIP, _SIGN, _9, _PART = np.uint64(0xFF), np.uint64(0x100), np.uint64(9), np.uint64(2**52 - 1)
@@ -68,9 +69,42 @@ def from_numpy(generator: np.random.Generator) -> State:
     return np.array([*words[0], *words[1], *halves], dtype=np.uint64)
 
 
+def with_draws(states: State, draws: NDArray[np.float64]) -> State:
+    """The states (R, 7 + D) that first draw what is given, and then as the states (R, 6) do.
+
+    The draws (R, D) are standard normal numbers. Each stands for one number, integer or normal
+    number that is drawn; a uniform one is its value of the normal distribution function.
+    """
+    taken = np.zeros((len(states), 1), dtype=np.uint64)
+    return np.concatenate((states, taken, draws.view(np.uint64)), axis=1)
+
+
+@compiled
+def has_draw(state: State) -> bool:
+    """Whether the next draw is given."""
+    return bool(state.size > WORDS and state[WORDS] < np.uint64(state.size - WORDS - 1))
+
+
+@compiled
+def given_draw(state: State) -> float:
+    """The next given draw, a standard normal number."""
+    taken = np.int64(state[WORDS])
+    state[WORDS] = np.uint64(taken + 1)
+    return float(state[WORDS + 1 :].view(np.float64)[taken])
+
+
+@compiled
+def given_word(state: State) -> np.uint64:
+    """The next given draw as 64 bits."""
+    share = min(0.5 * math.erfc(-given_draw(state) / math.sqrt(2.0)), 1.0 - 2.0**-53)
+    return np.uint64(share * 2.0**53) << np.uint64(11)
+
+
 @compiled
 def word(state: State) -> np.uint64:
     """The next 64 random bits."""
+    if has_draw(state):
+        return given_word(state)
     state[0], state[1] = high, low = _advance(state[0], state[1], state[2], state[3])
     mixed, turn = high ^ low, high >> _58
     return (mixed >> turn) | (mixed << ((_64 - turn) & _63))
@@ -79,6 +113,8 @@ def word(state: State) -> np.uint64:
 @compiled
 def half_word(state: State) -> np.uint64:
     """The next 32 random bits."""
+    if has_draw(state):
+        return given_word(state) >> _32
     if state[5]:
         state[5] = np.uint64(0)
         return np.uint64(state[4])
@@ -168,6 +204,8 @@ def normal(state: State, mean: float, deviation: float) -> float:
 
     Beyond 3.65 standard deviations, it has the logarithms of the C library, like NumPy's.
     """
+    if has_draw(state):
+        return float(mean + deviation * given_draw(state))
     while True:
         bits = word(state)
         strip, part = bits & _STRIP, (bits >> _9) & _PART

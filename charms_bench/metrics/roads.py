@@ -10,8 +10,8 @@ from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
 from charms_bench.metrics.metric import Metric, MetricSet, per_episode
 
 REACHED = ENDING == "goal"
-IS_UNDECIDABLE = ENDED_BADLY & pl.first("traffic_vehicles").is_null()
-"""A crash on a road: on the straight one, where the traffic is counted, fault is always decided."""
+IS_UNDECIDABLE = ENDED_BADLY & pl.first("has_goal").is_not_null()
+"""A crash on one of highway-env's roads: on the straight one, fault is always decided."""
 
 
 def _of_entry(column: str, name: str, unit: str, description: str, rests_on: str) -> Metric:

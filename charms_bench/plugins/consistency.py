@@ -364,6 +364,7 @@ class CheckedEvent(Checked[Event], Event):
         super().__init__(event, other, rng, calls)
         self.definition = event.definition
         self.includes_failure = event.includes_failure  # type: ignore[misc]  # the event's
+        self.sees_network = event.sees_network  # type: ignore[misc]
 
     def level(self, scene: Scene, rows: Ints) -> Floats:
         if not self._is_chosen():

@@ -18,6 +18,10 @@ class Event(ABC):
     includes_failure: ClassVar[bool] = False
     """Whether it also happens when the ego collides or leaves the road."""
 
+    sees_network: ClassVar[bool] = False
+    """Whether it is shown the vehicles of one of highway-env's roads as they are there, and not
+    along the ego's way."""
+
     @abstractmethod
     def level(self, scene: Scene, rows: Ints) -> Floats:
         """How far scenes are from the event; at most 0 if it happens now, and never NaN.

@@ -90,10 +90,12 @@ EPISODE: Mapping[str, Column] = {
     "steps": Column("Decisions of the ego."),
     "duration_s": Column("Simulated time.", F64, "s"),
     "distance_m": Column("Distance driven by the ego along the road.", F64, "m"),
-    "traffic_vehicles": Column("Vehicles in the traffic; null on one of highway-env's roads."),
-    "traffic_crashed": Column("Vehicles of the traffic that collided or left the road; the same."),
+    "traffic_vehicles": Column("Vehicles in the traffic."),
+    "traffic_crashed": Column("Vehicles of the traffic that collided or left the road."),
     "traffic_distance_m": Column(
-        "Distance driven by all vehicles of the traffic together; the same.", F64, "m"
+        "Distance driven by all vehicles of the traffic together, each along its own way.",
+        F64,
+        "m",
     ),
     "traffic_time_s": Column(
         "Time that they were there, together; null where nobody comes or goes: the whole episode.",
@@ -133,7 +135,6 @@ EPISODE: Mapping[str, Column] = {
 }
 """One row per episode. Only files of highway-env's roads have the columns `has_goal`,
 `at_fault_on_road` and `entry_*`, and where nobody comes or goes, none has `traffic_time_s`."""
-OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
 HAS_GOAL, ON_ROAD = "has_goal", "at_fault_on_road"
 OF_ROADS = (HAS_GOAL, ON_ROAD, *(name for name in EPISODE if name.startswith("entry_")))
 TIME_OF_TRAFFIC = "traffic_time_s"
@@ -164,7 +165,10 @@ DRIVER: Mapping[str, Column] = {
     ),
     "vehicles": Column("Vehicles that the agent drives."),
     "crashed": Column("Vehicles that collided or left the road."),
-    "at_fault": Column("Vehicles that crashed and were at fault (`recording.fault`)."),
+    "at_fault": Column(
+        "Vehicles that crashed and were at fault (`recording.fault`; on highway-env's roads, "
+        "`roads.fault` judges the traffic, and the ego in `at_fault_on_road`)."
+    ),
     "rear_end_striking": Column("Vehicles that crashed into the rear of another vehicle."),
     "rear_end_struck": Column("Vehicles that were hit from behind."),
     "side": Column("Vehicles that crashed in a side collision."),
@@ -199,7 +203,9 @@ DRIVER: Mapping[str, Column] = {
 }
 """One row per episode and agent, and one more for the ego: sums over the agent's vehicles.
 
-On one of highway-env's roads, there is only the ego's.
+On one of highway-env's roads, the events of the ego's row are those along its way, and those of
+the traffic are each along the way of the vehicle that follows or changes lanes. The driver of the
+vehicles that a road's environment has itself is called `environment`.
 
 A vehicle counts until it collides or leaves the road. Its thresholds were applied during the
 simulation, so other thresholds need a new simulation.

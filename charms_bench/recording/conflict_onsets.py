@@ -12,7 +12,7 @@ in.
 from typing import Any
 
 from charms_bench.foundation.compiled import inlined
-from charms_bench.recording.primitives import NOBODY, distance_to
+from charms_bench.recording.primitives import NOBODY, Some, distance_to
 from charms_bench.world.gaps import gap_to, is_within, requires_braking
 from charms_bench.world.road import Straight
 from charms_bench.world.scene import Ints
@@ -25,6 +25,7 @@ MANOEUVRE_S = 2.0
 @inlined
 def note_conflicts(
     road: Straight,
+    some: Some,
     now: Any,
     decision: int,
     interval_s: float,
@@ -35,7 +36,7 @@ def note_conflicts(
 ) -> None:
     """Adds the conflicts that begin and the near misses that end."""
     window = round(MANOEUVRE_S / interval_s)
-    for i in range(now.size):
+    for i in range(some[0], some[1]):
         own, met = now[i], state[i]
         if own.lost:
             continue

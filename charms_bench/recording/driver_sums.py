@@ -22,7 +22,7 @@ from charms_bench.recording.columns import (
 from charms_bench.recording.conflict_onsets import note_conflicts
 from charms_bench.recording.encroachment import note_encroachments
 from charms_bench.recording.lane_changes import imposed_decisions, note_lane_changes
-from charms_bench.recording.primitives import NOBODY, Frames, distance_to, record
+from charms_bench.recording.primitives import NOBODY, Frames, Some, distance_to, record
 from charms_bench.recording.rss import note_rss
 from charms_bench.world.road import Straight
 from charms_bench.world.scene import Bools, Ints
@@ -50,7 +50,7 @@ class DriverSums:
         self._interval_s = 1.0 / simulation.settings.decision_hz
         self._sums = np.zeros((shape[0], len(simulation.agents) + 1), dtype=DRIVER_RECORD)
         self._counted = np.full((*shape, self._sums.shape[1]), NOBODY)
-        self._find_drivers()
+        self.find_drivers()
         self._state = np.full(shape, _NOBODY_MET)
         window = imposed_decisions(self._interval_s)
         self._new_followers = np.full((*shape, window), NOBODY, dtype=np.int16)
@@ -70,28 +70,31 @@ class DriverSums:
         whether vehicles or their drivers can have changed.
         """
         if changes:
-            self._find_drivers()
-        note_drivers(
-            self._simulation.scene.road,
-            *frames,
-            at_fault,
-            self._interval_s,
-            self._drivers,
-            self._state,
-            self._new_followers,
-            self._sums,
-        )
+            self.find_drivers()
+        self._note(frames, frames.vehicles, (0, at_fault.shape[1]), at_fault)
 
-    def _find_drivers(self) -> None:
+    def add_seen(self, frames: Frames, seen: Any, place: int, at_fault: Bools) -> None:
+        """Adds what the vehicles at a place do, who see their scenes as the frames `seen`.
+
+        `frames` have all vehicles as each of them sees itself. See `add`.
+        """
+        self._note(frames, seen, (place, place + 1), at_fault)
+
+    def _note(self, frames: Frames, seen: Any, some: Some, at_fault: Bools) -> None:
+        sums = self._state, self._new_followers, self._sums
+        road, interval_s = self._simulation.scene.road, self._interval_s
+        note_drivers(road, *frames, seen, some, at_fault, interval_s, self._drivers, *sums)
+
+    def find_drivers(self) -> None:
         """Notes who drives which vehicle, and counts each vehicle once for each of its drivers."""
-        made = self._simulation
+        made, scene = self._simulation, self._simulation.engine.state
         # The ego's driver has column 0, and an agent the one after its index.
         self._drivers = made.engine.drivers + 1
         self._drivers[made.ego_vehicles] = 0
         for driver in range(self._sums.shape[1]):
             counted = self._counted[..., driver]
-            own = (self._drivers == driver) & made.scene.present & (made.scene.entry != counted)
-            counted[own] = made.scene.entry[own]
+            own = (self._drivers == driver) & scene.present & (scene.entry != counted)
+            counted[own] = scene.entry[own]
             self._sums["vehicles"][:, driver] += own.sum(axis=1, dtype=np.int32)
 
     def table(self) -> pl.DataFrame:
@@ -113,6 +116,8 @@ def note_drivers(
     road: Straight,
     moments: Any,
     vehicles: Any,
+    seen: Any,
+    some: Some,
     at_fault: Bools,
     interval_s: float,
     drivers: Ints,
@@ -120,21 +125,25 @@ def note_drivers(
     new_followers: Ints,
     sums: Any,
 ) -> None:
-    """Adds the decision intervals that end in some frames to `sums` [B, D]."""
+    """Adds the decision intervals of some vehicles that end in some frames to `sums` [B, D].
+
+    `seen` are the vehicles of the frames as these vehicles see them.
+    """
     for moment in moments:
         b, decision = index(moment.scene), moment.decision
-        now, before = vehicles[moment.now], vehicles[moment.before]
+        itself, before, now = vehicles[moment.now], vehicles[moment.before], seen[moment.now]
         driver, met, summed = drivers[b], state[b], sums[b]
-        note_driving(road, now, before, at_fault[b], interval_s, driver, summed)
-        note_encroachments(now, before, decision, interval_s, driver, met, summed)
-        note_lane_changes(road, now, before, decision, driver, new_followers[b], summed)
-        note_conflicts(road, now, decision, interval_s, moment.ends, driver, met, summed)
-        note_rss(road, now, decision, interval_s, driver, met, summed)
+        note_driving(road, some, now, before, at_fault[b], interval_s, driver, summed)
+        note_encroachments(some, now, before, itself, decision, interval_s, driver, met, summed)
+        note_lane_changes(road, some, now, before, decision, driver, new_followers[b], summed)
+        note_conflicts(road, some, now, decision, interval_s, moment.ends, driver, met, summed)
+        note_rss(road, some, now, decision, interval_s, driver, met, summed)
 
 
 @inlined
 def note_driving(
     road: Straight,
+    some: Some,
     now: Any,
     before: Any,
     at_fault: Bools,
@@ -143,7 +152,7 @@ def note_driving(
     sums: Any,
 ) -> None:
     """Adds distance and time, and the crashes of a decision interval."""
-    for i in range(now.size):
+    for i in range(some[0], some[1]):
         own, was, mine = now[i], before[i], sums[driver[i]]
         if was.lost:
             continue

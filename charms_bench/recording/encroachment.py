@@ -10,7 +10,7 @@ between, the same one included, or after 5 s.
 from typing import Any
 
 from charms_bench.foundation.compiled import inlined
-from charms_bench.recording.primitives import NOBODY
+from charms_bench.recording.primitives import NOBODY, Some
 from charms_bench.world.scene import Ints
 
 PET_LIMIT_S = 5.0
@@ -21,10 +21,21 @@ SHORT_PET_S = 2.0
 
 @inlined
 def note_encroachments(
-    now: Any, before: Any, decision: int, interval_s: float, driver: Ints, state: Any, sums: Any
+    some: Some,
+    now: Any,
+    before: Any,
+    itself: Any,
+    decision: int,
+    interval_s: float,
+    driver: Ints,
+    state: Any,
+    sums: Any,
 ) -> None:
-    """Adds the PETs of vehicles that reach the place, then notes the vehicles that cut in."""
-    for i in range(now.size):
+    """Adds the PETs of vehicles that reach the place, then notes the vehicles that cut in.
+
+    `itself` are all vehicles as each sees itself: the follower finds the place along its own way.
+    """
+    for i in range(some[0], some[1]):
         own, was, met = now[i], before[i], state[i]
         if met.cutter < 0:
             continue
@@ -42,7 +53,7 @@ def note_encroachments(
                 second.pet_to_sum_s += pet
                 second.pet_below_2s_to += pet < SHORT_PET_S
             met.cutter = NOBODY
-    for i in range(now.size):
+    for i in range(some[0], some[1]):
         own, j = now[i], now[i].follower
         if own.lost or own.lane == before[i].lane or j < 0:
             continue
@@ -52,4 +63,5 @@ def note_encroachments(
         place = own.x - (other.length + own.length) / 2
         met.cutter = NOBODY
         if place > other.x:
-            met.cutter, met.place, met.cut_in = i, place, decision
+            met.place = place + (itself[j].x - other.x)
+            met.cutter, met.cut_in = i, decision

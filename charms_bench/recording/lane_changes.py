@@ -16,7 +16,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from charms_bench.foundation.compiled import compiled, inlined
-from charms_bench.recording.primitives import NOBODY, distance_to
+from charms_bench.recording.primitives import NOBODY, Some, distance_to
 from charms_bench.world.road import Straight
 from charms_bench.world.scene import Ints
 from charms_bench.world.thresholds import HARD_BRAKING_MPS2
@@ -41,6 +41,7 @@ def is_given_up(lane: Any, wanted: Any, next_lane: Any, next_target: Any) -> Any
 @inlined
 def note_lane_changes(
     road: Straight,
+    some: Some,
     now: Any,
     before: Any,
     decision: int,
@@ -55,7 +56,7 @@ def note_lane_changes(
     """
     window = new_followers.shape[1]
     latest = decision % window
-    for i in range(now.size):
+    for i in range(some[0], some[1]):
         own, was = now[i], before[i]
         has_same_lanes = (own.lane == was.lane) & (own.target_lane == was.target_lane)
         if own.lost or (has_same_lanes & (decision > own.lane_since + window)):

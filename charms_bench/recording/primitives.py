@@ -14,6 +14,7 @@ import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.engine.simulation import Simulation
+from charms_bench.engine.views import Views
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index, inlined
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
 from charms_bench.world.road import Straight, distance_along, is_on_lane
@@ -21,6 +22,8 @@ from charms_bench.world.scene import Bools, Ints, Scene
 
 LONG_AGO = -1_000_000
 NOBODY = -1
+Some = tuple[int, int]
+"""The vehicles from one place until before another one, in compiled code."""
 
 
 def record(**fields: str) -> np.dtype[np.void]:
@@ -67,16 +70,21 @@ class Frames(NamedTuple):
 
 
 class Primitives:
-    """Takes frames of a simulation with B scenes, which begin now."""
+    """Takes frames of a simulation with B scenes, which begin now.
 
-    def __init__(self, simulation: Simulation) -> None:
+    With `views`, each vehicle is described along its own way, without its neighbours, and else
+    along that of the ego; on the straight road, this is the same.
+    """
+
+    def __init__(self, simulation: Simulation, views: Views | None = None) -> None:
         scenes, vehicles = simulation.scene.x.shape
-        self._simulation = simulation
+        self._simulation, self._views = simulation, views
         self._vehicles = np.zeros((2 * scenes, vehicles), dtype=VEHICLE)
         self._last = np.arange(scenes)
-        self._collided = simulation.scene.crashed.copy()
-        self._present = simulation.scene.present.copy()
-        self._entry = simulation.scene.entry.copy()
+        scene = self._scene
+        self._collided = scene.crashed.copy()
+        self._present = scene.present.copy()
+        self._entry = scene.entry.copy()
         settings = simulation.settings
         is_open = settings.recording is not None or settings.inflow is not None
         self.changes = is_open or settings.network is not None or not self._present.all()
@@ -87,7 +95,11 @@ class Primitives:
         self._vehicles["lane_since"] = LONG_AGO
         self._vehicles["target_since"] = 0
         self._vehicles["lost"] = False
-        self._vehicles["lost"][self._last] = ~simulation.scene.present
+        self._vehicles["lost"][self._last] = ~scene.present
+
+    @property
+    def _scene(self) -> Scene:
+        return self._simulation.scene if self._views is None else self._views.own
 
     def last(self, name: str) -> Any:
         """[B, N] a field of the vehicles at the last decision, or at the start."""
@@ -95,7 +107,7 @@ class Primitives:
 
     def at_decision(self, scenes: Ints) -> Frames:
         """The frames of the scenes (S,) at the decision that has just been reached."""
-        scene = self._simulation.scene
+        scene = self._scene
         if self.changes:
             self.left = self._present & ~(scene.present & (scene.entry == self._entry))
             self._collided &= ~self.left
@@ -115,11 +127,12 @@ class Primitives:
 
     def take(self, scenes: Ints, ahead: int) -> Frames:
         """The frames of the scenes (S,), whose decision is the last one or some `ahead`."""
-        made, scene = self._simulation, self._simulation.scene
+        made, scene = self._simulation, self._scene
+        collision = made.collision if self._views is None else self._views.collision
         moments = np.empty(scenes.size, dtype=MOMENT)
         note_moments(scenes, self._last, made.steps, ahead, scene.active, moments)
         frames = Frames(moments, self._vehicles)
-        seen = (scene, *frames, made.collision, made.action, made.has_action)
+        seen = (scene, *frames, collision, made.action, made.has_action)
         if self.changes:
             self._take_changing(seen, scenes, moments)
         else:
@@ -131,13 +144,15 @@ class Primitives:
 
         A vehicle counts from the first decision at which it is there until the last one.
         """
-        scene, vehicles = self._simulation.scene, self._vehicles
+        scene, vehicles = self._scene, self._vehicles
         is_here, was_here = scene.present[scenes], self._present[scenes]
         has_stayed = is_here & was_here & (scene.entry[scenes] == self._entry[scenes])
         has_appeared = is_here & ~has_stayed
+        # The lanes of another road have other numbers: this is no lane change.
+        begins = has_appeared if self._views is None else has_appeared | self._views.turned[scenes]
         before = vehicles[moments["before"]]
         for name in ("lane", "target_lane"):
-            before[name] = np.where(has_appeared, getattr(scene, name)[scenes], before[name])
+            before[name] = np.where(begins, getattr(scene, name)[scenes], before[name])
         before["lane_since"][has_appeared] = LONG_AGO
         before["lost"] |= ~has_stayed
         vehicles[moments["before"]] = before

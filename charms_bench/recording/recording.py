@@ -11,9 +11,9 @@ from charms_bench.engine.collision_kinds import STRUCK
 from charms_bench.engine.endings import ENDINGS, OFF_ROAD, REAR_END
 from charms_bench.engine.simulation import Simulation
 from charms_bench.recording.columns import (
+    DRIVER_KEYS,
     EPISODE_SCHEMA,
     HAS_GOAL,
-    OF_TRAFFIC,
     ON_ROAD,
     OPTIONAL,
     TIME_OF_TRAFFIC,
@@ -24,6 +24,7 @@ from charms_bench.recording.fault import Fault
 from charms_bench.recording.following_counts import FollowingCounts
 from charms_bench.recording.primitives import Primitives
 from charms_bench.recording.step_rows import StepRows
+from charms_bench.recording.traffic_on_ways import TrafficOnWays
 from charms_bench.world.scene import Bools
 
 
@@ -36,9 +37,13 @@ class Recording:
         """On one of highway-env's roads, vehicles are seen only beside the ego's way."""
         self._was_running = simulation.scene.active.copy()
         self._kept = Primitives(simulation)
-        self._start_x = self._kept.last("x")
+        self._traffic = TrafficOnWays(simulation) if self._on_network else None
+        self._places = self._kept if self._traffic is None else self._traffic.kept
+        """Where all vehicles are along their own ways."""
+        self._start_x = self._places.last("x")
         self._end_x = self._start_x.copy()
-        self._seen = np.where(simulation.scene.present, simulation.scene.entry, -1)
+        state = simulation.engine.state
+        self._seen = np.where(state.present, state.entry, -1)
         """[B, N] the number of the last vehicle at each place, -1 for none so far."""
         self._gone = np.zeros(simulation.seeds.size, dtype=np.int64)
         self._gone_m = np.zeros(simulation.seeds.size)
@@ -60,12 +65,15 @@ class Recording:
 
     def note(self) -> None:
         """Keeps the end of the decision interval that has just ended."""
-        was_lost = self._kept.last("lost") if self._kept.changes else None
+        was_lost = self._places.last("lost") if self._kept.changes else None
         was_running = self._was_running
-        frames = self._kept.at_decision(np.nonzero(self._was_running)[0])
+        scenes = np.nonzero(was_running)[0]
+        frames = self._kept.at_decision(scenes)
+        if self._traffic is not None:
+            self._traffic.add(scenes)
         self._was_running = self._simulation.scene.active.copy()
         if was_lost is not None:
-            self._left_lost += (self._kept.left & was_lost).sum(axis=1)
+            self._left_lost += (self._places.left & was_lost).sum(axis=1)
             self._fault.forget(self._kept.left)
             self._drivers.forget(self._kept.left)
             self._note_places(was_running)
@@ -79,7 +87,7 @@ class Recording:
 
     def _note_places(self, was_running: Bools) -> None:
         """Notes where vehicles are, from the decision after they have appeared until they leave."""
-        scene, x = self._simulation.scene, self._kept.last("x")
+        scene, x = self._simulation.engine.state, self._places.last("x")
         has_appeared = scene.present & (scene.entry != self._seen)
         is_gone = has_appeared & (self._seen >= 0)
         stayed = scene.present & ~has_appeared & was_running[:, None]
@@ -99,13 +107,13 @@ class Recording:
         """Returns one row per episode (`columns.EPISODE`), sorted by episode."""
         simulation = self._simulation
         rows, ego = simulation.ego_vehicles
-        end_x = self._end_x if self._kept.changes else self._kept.last("x")
+        end_x = self._end_x if self._kept.changes else self._places.last("x")
         driven = end_x - self._start_x
         at_fault = self._fault.at_fault[rows, ego] | (simulation.ending == OFF_ROAD)
         struck = simulation.collision[rows, ego] == STRUCK
         is_traffic = self._seen >= 0
         is_traffic[rows, ego] = False
-        is_lost = self._kept.last("lost") & simulation.scene.present
+        is_lost = self._places.last("lost") & simulation.engine.state.present
         columns = {
             "episode": simulation.seeds,
             "ending": np.array(ENDINGS)[simulation.ending],
@@ -123,7 +131,7 @@ class Recording:
             columns[TIME_OF_TRAFFIC] = self._traffic_decisions * decision_s
         if self._on_network:
             measures = simulation.engine.measures.items()
-            columns |= dict.fromkeys(("at_fault", *OF_TRAFFIC))
+            columns["at_fault"] = None
             columns[HAS_GOAL] = np.full(simulation.seeds.size, simulation.engine.has_goal)
             columns |= {name: pl.Series(values).fill_nan(None) for name, values in measures}
             has_left = pl.Series(simulation.ending == OFF_ROAD)
@@ -139,4 +147,6 @@ class Recording:
     def drivers(self) -> pl.DataFrame:
         """Returns what each driver causes and undergoes (`columns.DRIVER`), sorted by its keys."""
         rows = self._drivers.table()
-        return rows.filter("is_ego") if self._on_network else rows
+        if self._traffic is None:
+            return rows
+        return pl.concat((rows.filter("is_ego"), self._traffic.drivers())).sort(DRIVER_KEYS)

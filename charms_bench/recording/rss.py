@@ -9,7 +9,7 @@ under control, because each is judged as one driver among others.
 from typing import Any
 
 from charms_bench.foundation.compiled import index, inlined
-from charms_bench.recording.primitives import distance_to
+from charms_bench.recording.primitives import Some, distance_to
 from charms_bench.world.gaps import gap_to, side_gap
 from charms_bench.world.road import Straight
 from charms_bench.world.scene import Ints
@@ -52,10 +52,17 @@ def _drift(towards_mps: float) -> float:
 
 @inlined
 def note_rss(
-    road: Straight, now: Any, decision: int, interval_s: float, driver: Ints, state: Any, sums: Any
+    road: Straight,
+    some: Some,
+    now: Any,
+    decision: int,
+    interval_s: float,
+    driver: Ints,
+    state: Any,
+    sums: Any,
 ) -> None:
     """Adds the time in danger from the nearest vehicles ahead on the own and adjacent lanes."""
-    for i in range(now.size):
+    for i in range(some[0], some[1]):
         own = now[i]
         if own.lost:
             continue

@@ -37,7 +37,8 @@ def part_of(suite: Suite, cell: CellRows) -> pl.DataFrame:
     records = [
         (*cell.labels, driver, metric.name, *astuple(found))
         for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True)
-        if metric.name != "crashed_at_fault" or not cell.road  # `recording.recording`
+        # The ego's fault on a road is in the column `at_fault_on_road` of its episodes.
+        if metric.name != "crashed_at_fault" or not (cell.road and driver == EGO)
     ]
     return long_frame(records, suite.with_road(KEYS), LONG)
 

@@ -39,8 +39,7 @@ def rare_table(
     """
     records = [
         {
-            "agent": each.cell.ego.title,
-            "traffic": each.cell.traffic.title,
+            **_labels(each, suite.with_road(KEYS)),
             "probability": (number := _probability(each, samples)),
             "runs": len(each.runs),
             "levels": len(each.pilot.thresholds),
@@ -51,7 +50,7 @@ def rare_table(
     ]
     title = f"{suite.title or suite.suite}: probability that {definition}"
     columns = _columns(f"that {definition}")
-    table = _noted(Table.from_records(records, name, title, KEYS, columns))
+    table = _noted(Table.from_records(records, name, title, suite.with_road(KEYS), columns))
     lost = {each.cell.title: [run.probability for run in each.runs].count(0) for each in cells}
     counts = [f"{title}: {n} of {len(cells[0].runs)}" for title, n in lost.items() if n]
     if not counts:
@@ -79,11 +78,12 @@ def stored_rare(folder: Path) -> Table:
     except (AttributeError, KeyError, TypeError) as error:
         raise RunFolderError(f"{folder / MANIFEST}: names no event or no suite") from error
     columns = {column.name: column for column in _columns(f"of the event `{event}`")}
+    keys = ("agent", "road", "traffic") if suite.get("roads") else KEYS
     table = Table.from_frame(
-        read_table(paths[0], long_schema(KEYS, LONG)),
+        read_table(paths[0], long_schema(keys, LONG)),
         paths[0].stem,
         f"{title}: probability of the event {event}",
-        KEYS,
+        keys,
         LONG,
         lambda _, name: columns.get(name, Column(name)),
     )
@@ -118,8 +118,7 @@ def rare_runs(cells: Sequence[RareCell]) -> pl.DataFrame:
     return pl.DataFrame(
         [
             {
-                "agent": each.cell.ego.title,
-                "traffic": each.cell.traffic.title,
+                **_labels(each, KEYS if each.cell.road is None else ("agent", "road", "traffic")),
                 "run": number,
                 "probability": run.probability,
                 "episodes": run.evaluations,
@@ -131,6 +130,10 @@ def rare_runs(cells: Sequence[RareCell]) -> pl.DataFrame:
             for number, run in enumerate(each.runs, start=1)
         ]
     )
+
+
+def _labels(cell: RareCell, keys: Sequence[str]) -> dict[str, str]:
+    return dict(zip(keys, cell.cell.labels, strict=True))
 
 
 def plain_episodes(number: Number) -> float | None:

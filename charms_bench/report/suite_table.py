@@ -6,7 +6,7 @@ from dataclasses import astuple, replace
 import polars as pl
 
 from charms_bench.metrics import PAPER, MetricSet
-from charms_bench.report import left_out
+from charms_bench.report import first_speeds, left_out
 from charms_bench.report.definitions import columns_of, installed_column
 from charms_bench.report.number import Number
 from charms_bench.report.table import ESTIMATE, Row, Table, long_frame
@@ -68,9 +68,13 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
         suite.with_road(KEYS),
         LONG,
         (lambda *names: columns[names]) if columns else installed_column,
-        note=" ".join(filter(None, (suite.note, left_out.said_of(frame, "metric")))),
+        note=" ".join(filter(None, _said_of(frame, suite))),
         reference="paper",
     )
+
+
+def _said_of(frame: pl.DataFrame, suite: Suite) -> tuple[str, ...]:
+    return suite.note, left_out.said_of(frame, "metric"), first_speeds.said_of(suite)
 
 
 def printed(table: Table, columns: Sequence[str]) -> Table:

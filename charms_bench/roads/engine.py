@@ -26,9 +26,9 @@ from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.shown import Shown
 from charms_bench.engine.state import ARRAYS
 from charms_bench.engine.stepping import BeforeMove
-from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
+from charms_bench.foundation.generator import seeded, with_draws
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.entries import Entries
@@ -51,9 +51,11 @@ from charms_bench.roads.scenes import (
     lane_of,
     vehicle_of,
 )
+from charms_bench.roads.settings import profiles_of
 from charms_bench.roads.stepping import collide, move_all
 from charms_bench.roads.straightened import BEHIND, Ways, find_way, straighten
-from charms_bench.world.actions import Actions, MetaAction, controls_of
+from charms_bench.roads.views import RoadViews
+from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, MetaAction, controls_of
 from charms_bench.world.gaps import gap_to, is_within, requires_braking
 from charms_bench.world.plan import Lines, Plan, lines_of
 from charms_bench.world.scene import Scene, SceneSettings, Vehicles
@@ -112,8 +114,14 @@ class RoadEngine(Shown):
         self._ways = Ways.empty(*shape)
         self._settings, self._models = settings, models
         self._continuous, self._prescribed = list(continuous), list(prescribed)
-        self._rule = command_rule(settings.profile)
-        self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_actions.items()}
+        profiles, default = profiles_of(settings), {-1: DEFAULT_ACTIONS}
+        self._rules = {
+            (k, is_ego): command_rule(profile, own)
+            for is_ego, profile in zip((True, False), profiles, strict=True)
+            for k, own in (default | {**own_actions}).items()
+        }
+        """How meta-actions are carried out, by the index of an agent and whether it is an ego's.
+        Under -1 for agents with highway-env's meta-actions."""
         self._views = self._seen
         """[B N, N] each scene as each of its vehicles sees it, if agents drive the traffic."""
         self._roads: dict[tuple[bool, int, float], Scene] = {}
@@ -151,10 +159,11 @@ class RoadEngine(Shown):
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
-        if draws is not None:
-            raise InputError(f"{self.episodes.name}: vehicles are placed by seeds only")
         episodes, scene = self.episodes, self._seen
-        episodes.seed(rows, seeds)
+        if draws is None:
+            episodes.seed(rows, seeds)
+        else:
+            self._give(draws, rows, seeds)
         episodes.start(rows)
         episodes.task.navigate(episodes.scenes, rows)
         scene.ego[rows], scene.active[rows], self.drivers[rows] = 0, True, agents
@@ -169,6 +178,16 @@ class RoadEngine(Shown):
         self._entries.start(rows, episodes.task.entering(episodes.scenes)[rows])
         self._fault.start(rows)
         self._show(rows)
+
+    def _give(self, draws: Floats, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+        """Has the random generators of the scenes `rows` draw what is given."""
+        scenes = self.episodes.scenes
+        given = with_draws(seeded(seeds), draws)
+        if scenes.generator.shape[1] != given.shape[1]:
+            generator = np.zeros((len(scenes.generator), given.shape[1]), dtype=np.uint64)
+            self.episodes.scenes = scenes._replace(generator=generator)
+            vars(self).pop("state", None)
+        self.episodes.scenes.generator[rows] = given
 
     def renew(self, rows: Ints, agents: Ints) -> Vehicles:
         scenes, ways = self.episodes.scenes, self._ways
@@ -198,9 +217,8 @@ class RoadEngine(Shown):
         kind = self._kinds[vehicle]
         if kind == BY_CONTROLS:
             target_speed[vehicle] = 0.0
-        elif kind == BY_TARGETS and self._rule_of(vehicle).speeds.size:
-            wanted = nearest_target_speed(target_speed[vehicle], 0, self._rule.speeds)
-            target_speed[vehicle] = wanted
+        elif kind == BY_TARGETS and (speeds := self._rule_of(vehicle).speeds).size:
+            target_speed[vehicle] = nearest_target_speed(target_speed[vehicle], 0, speeds)
 
     def _seat(self, rows: Ints) -> None:
         """Gives the vehicles of the scenes `rows` to their drivers."""
@@ -266,6 +284,9 @@ class RoadEngine(Shown):
     def _lines(self) -> Lines:
         return lines_of(self.episodes.scenes.road)
 
+    def views(self) -> RoadViews:
+        return RoadViews(self._settings, self.episodes.scenes, self.state, self._fault)
+
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
         rows, places = vehicles
         if not places.any():
@@ -281,7 +302,8 @@ class RoadEngine(Shown):
 
     def _rule_of(self, vehicle: tuple[Any, Any]) -> Any:
         """How a vehicle carries out meta-actions."""
-        return self._own_rules.get(int(self.drivers[vehicle]), self._rule)
+        agent, is_ego = int(self.drivers[vehicle]), bool(vehicle[1] == 0)
+        return self._rules.get((agent, is_ego), self._rules[-1, is_ego])
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         rows, places = vehicles
@@ -294,13 +316,15 @@ class RoadEngine(Shown):
             table = self.episodes.scenes.vehicles
             table["acceleration"][vehicles], table["steering"][vehicles] = control
             return
-        rule = self._rule_of((rows[0], places[0]))
         for is_ego in (True, False):
             some = np.nonzero((places == 0) == is_ego)[0]
             each = rows[some], places[some]
+            if not some.size:
+                continue
+            rule = self._rule_of((rows[some[0]], places[some[0]]))
             if is_ego:
                 command(self.scene, *each, actions[some], rule)
-            elif some.size:
+            else:
                 view = self._views_of(each), each[1]
                 command(self._views, *view, actions[some], rule)
                 self._seen.repeats[each] = self._views.repeats[view]

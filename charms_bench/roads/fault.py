@@ -33,6 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine.collision_kinds import SIDE_COLLISION, STRIKING, STRUCK
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.roads.scenes import OBSTACLE, Scenes
@@ -78,7 +79,7 @@ class Track(NamedTuple):
 
 
 class Fault:
-    """Judges the collisions of the egos of B scenes.
+    """Judges the collisions of the egos of B scenes, and of other vehicles that are asked about.
 
     Args:
         count: B.
@@ -116,28 +117,36 @@ class Fault:
         """Notes a simulation step of the scenes `rows`, and judges the egos that have collided."""
         _note(scenes, rows, self._moments, self._noted, self._wrecked)
         for b in rows[self._wrecked[rows, 0] == 1].tolist():
-            self.at_fault[b] = self._judge(scenes, b)
+            self.at_fault[b], _ = self.judged(scenes, b, 0)
 
-    def _judge(self, scenes: Scenes, b: int) -> float:
+    def judged(self, scenes: Scenes, b: int, i: int) -> tuple[float, int]:
+        """Whether a vehicle that has collided in the last step noted is at fault, and how it has.
+
+        The first is as in `at_fault`, and the second an index into `collision_kinds.COLLISIONS`.
+        """
         vehicles, wrecked = scenes.vehicles[b], self._wrecked[b]
-        away = np.hypot(vehicles["x"] - vehicles["x"][0], vehicles["y"] - vehicles["y"][0])
+        away = np.hypot(vehicles["x"] - vehicles["x"][i], vehicles["y"] - vehicles["y"][i])
         away[(wrecked == 0) & (vehicles["kind"] > OBSTACLE)] = np.inf
-        away[vehicles["kind"] < OBSTACLE] = away[0] = np.inf
+        away[vehicles["kind"] < OBSTACLE] = away[i] = np.inf
         j = int(np.argmin(away))
-        ego, other = (self._track(scenes, b, i) for i in (0, j))
+        steps = self._steps_before_impact(b, i)
+        own, other = (self._track(scenes, b, k, steps) for k in (i, j))
+        how = _how(own, other)
         if vehicles["kind"][j] == OBSTACLE or wrecked[j] > 1:
-            return float(vehicles["kind"][j] == OBSTACLE or _strikes(ego, other))
-        found = at_fault(scenes.road, self._ranks, ego, other, self._dt)
-        return math.nan if found is None else float(found[0])
+            return float(vehicles["kind"][j] == OBSTACLE or _strikes(own, other)), how
+        found = at_fault(scenes.road, self._ranks, own, other, self._dt)
+        return math.nan if found is None else float(found[0]), how
 
-    def _track(self, scenes: Scenes, b: int, i: int) -> Track:
+    def _steps_before_impact(self, b: int, i: int) -> Ints:
         kept, noted = len(self._moments), int(self._noted[b])
         steps = np.arange(max(noted - kept, 0), noted) % kept
         # highway-env pushes vehicles apart before it calls them crashed.
-        pushed, last = self._moments["is_pushed"][steps, b, 0], steps.size - 1
+        pushed, last = self._moments["is_pushed"][steps, b, i], steps.size - 1
         while last > 0 and pushed[last - 1]:
             last -= 1
-        steps = steps[: last + 1]
+        return steps[: last + 1]
+
+    def _track(self, scenes: Scenes, b: int, i: int, steps: Ints) -> Track:
         vehicle = scenes.vehicles[b, i]
         size = float(vehicle["length"]), float(vehicle["width"])
         return Track(self._moments[steps, b, i], *size)
@@ -325,6 +334,17 @@ def _ahead(one: Track, other: Track) -> Track | None:
     struck, striking = (other, one) if ahead > 0 else (one, other)
     is_faster = striking.moments["speed"][-1] > struck.moments["speed"][-1]
     return struck if along < across and is_faster else None
+
+
+def _how(one: Track, other: Track) -> int:
+    """How a vehicle has collided with another one, as `collision_kinds` says of those in lanes."""
+    ahead, aside = _seen_from(one, other.moments["x"][-1], other.moments["y"][-1])
+    along = (one.length + other.length) / 2 - abs(ahead)
+    across = (one.width + other.width) / 2 - abs(aside)
+    apart = float(other.moments["heading"][-1] - one.moments["heading"][-1])
+    if along >= across or math.cos(apart) < REAR_END_COS:
+        return SIDE_COLLISION
+    return STRIKING if ahead > 0 else STRUCK
 
 
 def _rank(ranks: Ints, track: Track, recent: int) -> int:

@@ -10,6 +10,7 @@ def plan_of(lines: Lines, scenes: Scenes, b: int) -> Plan:
     """The plan of scene b, whose network has these lines."""
     vehicles = scenes.vehicles[b]
     return Plan(
+        scenes.road,
         lines,
         present=vehicles["kind"] != NOTHING,
         is_obstacle=np.isin(vehicles["kind"], (LANDMARK, OBSTACLE)),

@@ -12,10 +12,10 @@ from charms_bench.roads import OF_SUITES
 from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.scenes import OBSTACLE
-from charms_bench.world.actions import ActionsLike, meta_actions_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.observations import observation_of
+from charms_bench.world.profile import Profile
 from charms_bench.world.scene import SceneSettings
 
 _OF_STRAIGHT_ROADS = (
@@ -121,31 +121,25 @@ def on_road(
     return settings.model_copy(update=changes)
 
 
-def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True) -> str:
-    """Why an agent cannot drive the ego, or other vehicles, on a road; empty if it can."""
+def problem_of_driver(agent: Agent) -> str:
+    """Why an agent cannot drive on a road; empty if it can."""
     if isinstance(agent, DriverModel):
         return ""
-    if agent.rollouts_with:
-        return "it plans on copies of a straight road"
     if agent.weights_sha256 and isinstance(observation_of(agent.observation), Kinematics):
         return (
             "a network of highway-env's Kinematics receives on this road neither the ranges nor "
             "the target speeds of the environment that it was trained in; its row would be of "
             "another task"
         )
-    return problem_of_actions(agent.actions, settings, is_ego)
-
-
-def problem_of_actions(actions: ActionsLike, settings: SceneSettings, is_ego: bool = True) -> str:
-    """Why a road cannot be driven with these actions; empty if it can."""
-    assert settings.network is not None
-    road, least = _road(settings.network), settings.profile.target_speed_min_mps
-    speed, whose = road.ego_speed, "the ego starts at"
-    if not is_ego:
-        speed, whose = road.others_speed, "the slowest vehicle wants"
-    if meta_actions_of(actions) and speed < least:
-        return (
-            f"it commands target speeds from {least:g} m/s, and {whose} {speed:.3g} m/s; "
-            "see scene.profile.target_speed_min_mps"
-        )
     return ""
+
+
+def profiles_of(settings: SceneSettings) -> tuple[Profile, Profile]:
+    """The profile whose target speeds policies choose on a road: of the ego, and of other vehicles.
+
+    They begin at the first speed of the ego, and at the lowest target speed of another vehicle, if
+    those of the scene's profile are above it.
+    """
+    assert settings.network is not None
+    road, profile = _road(settings.network), settings.profile
+    return profile.beginning_at(road.ego_speed), profile.beginning_at(road.others_speed)

@@ -62,7 +62,7 @@ def straighten(
     `here` is the state of scene b.
     """
     find_way(scenes, b, viewer, ways)
-    lanes, numbers, starts = ways.lanes[b, viewer], ways.numbers[b, viewer], ways.starts[b, viewer]
+    lanes, numbers = ways.lanes[b, viewer], ways.numbers[b, viewer]
     own_road, width = lane_of(here, lanes[BEHIND]), scene.road.lane_width
     count = min(own_road.lanes, scene.road.lanes)
     for i in range(here.places):
@@ -78,19 +78,8 @@ def straighten(
             scene.direction_x[v, i], scene.direction_y[v, i] = 1.0, 0.0
             scene.crashed[v, i] = vehicle.crashed
             continue
-        y = numbers[best] * width + coordinates_of(here, i, lanes[best]).r
-        at = coordinates_of(here, i, lanes[best])
         scene.present[v, i] = True
-        scene.x[v, i], scene.y[v, i] = starts[best] + at.s, y
-        heading = wrap_to_pi(vehicle.heading - heading_on(here, lane_of(here, lanes[best]), at.s))
-        scene.heading[v, i] = heading
-        scene.direction_y[v, i], scene.direction_x[v, i] = maths.sin_cos(heading)
-        lane = numbers[BEHIND] if i == viewer else min(max(round(y / width), 0), count - 1)
-        scene.lane[v, i] = scene.target_lane[v, i] = lane
-        if lane_of(here, vehicle.target_lane).first == lane_of(here, vehicle.lane).first:
-            target = lane + vehicle.target_lane - vehicle.lane
-            scene.target_lane[v, i] = min(max(target, 0), count - 1)
-        copy_state(scene, v, i, vehicle)
+        see(here, i, viewer, ways, b, best, scene, v)
     ways.targets[b, viewer] = scene.target_lane[v, viewer]
     ways.speed_limits[b, viewer] = own_road.speed_limit
     if here.constants.looks_ahead:  # in whole m/s, because each speed has views of its own
@@ -102,6 +91,28 @@ def straighten(
     ways.open_lanes[b, viewer] = open_lanes
     sort_by_x(scene, v, v + 1)
     find_neighbours(scene, v, v + 1)
+
+
+@compiled
+def see(
+    here: Here, i: int, viewer: int, ways: Ways, b: int, best: int, scene: Scene, v: int
+) -> None:
+    """Fills in vehicle i of scene v, beside the lane `best` of the viewer's way."""
+    lanes, numbers, starts = ways.lanes[b, viewer], ways.numbers[b, viewer], ways.starts[b, viewer]
+    own_road, width = lane_of(here, lanes[BEHIND]), scene.road.lane_width
+    count, vehicle = min(own_road.lanes, scene.road.lanes), vehicle_of(here, i)
+    y = numbers[best] * width + coordinates_of(here, i, lanes[best]).r
+    at = coordinates_of(here, i, lanes[best])
+    scene.x[v, i], scene.y[v, i] = starts[best] + at.s, y
+    heading = wrap_to_pi(vehicle.heading - heading_on(here, lane_of(here, lanes[best]), at.s))
+    scene.heading[v, i] = heading
+    scene.direction_y[v, i], scene.direction_x[v, i] = maths.sin_cos(heading)
+    lane = numbers[BEHIND] if i == viewer else min(max(round(y / width), 0), count - 1)
+    scene.lane[v, i] = scene.target_lane[v, i] = lane
+    if lane_of(here, vehicle.target_lane).first == lane_of(here, vehicle.lane).first:
+        target = lane + vehicle.target_lane - vehicle.lane
+        scene.target_lane[v, i] = min(max(target, 0), count - 1)
+    copy_state(scene, v, i, vehicle)
 
 
 @compiled

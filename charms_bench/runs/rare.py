@@ -11,6 +11,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
+from charms_bench.engine.draws import count_of
 from charms_bench.errors import CharmsBenchError, InputError
 from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.checked_result import read_result, write_result
@@ -49,7 +50,7 @@ class RareCell:
 
 def check_sizes(suite: Suite, runs: int, samples: int) -> None:
     """Raises an `InputError` if an estimation cannot have so many runs or samples per level."""
-    most = DRAWS_LIMIT // (4 * suite.scene.vehicles + 1)
+    most = DRAWS_LIMIT // max(count_of(cell.scene) for cell in suite.cells)
     if not LEAST_RUNS <= runs <= MOST_RUNS:
         raise InputError(f"runs is {runs}; expected {LEAST_RUNS} to {MOST_RUNS:,}")
     if not LEAST_SAMPLES <= samples <= most or samples % round(1 / SHARE):
@@ -82,8 +83,6 @@ def run_rare(
             f"many plain episodes; use --samples {FEW_SAMPLES} or more (in Python: samples)"
         )
     event_of(event)
-    for cell in suite.cells:
-        cell.scene.check_straight("rare events are estimated on")
     failed: dict[int, CharmsBenchError] = {}
 
     def finished(tasks: Sequence[RareTask]) -> dict[tuple[int, int], SubsetRun]:
@@ -149,11 +148,11 @@ def _pilots(suite: Suite, event: str, samples: int) -> list[RareTask]:
         task = RareTask(
             title=f"{cell.title}, pilot",
             cell=index,
-            scene=suite.scene,
+            scene=cell.scene,
             ego=ego,
             traffic=traffic,
             networks=networks,
-            software=software_of(ego, traffic, networks, event),
+            software=software_of(ego, traffic, networks, event, cell.road is not None),
             event=event,
             samples=samples,
             seed=suite.seed,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from charms_bench.engine.draws import count_of
 from charms_bench.engine.events import lowest_levels
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, RunFolderError
@@ -24,6 +25,7 @@ from charms_bench.runs.shard import (
     CellTask,
     CheckedDrivers,
     Software,
+    engine_on,
     forget_identities,
     installed,
     origin_of,
@@ -61,10 +63,14 @@ def event_of(text: str) -> Event:
 
 
 def software_of(
-    ego: AgentSpec, traffic: TrafficSpec, networks: Mapping[str, Path], event: str
+    ego: AgentSpec,
+    traffic: TrafficSpec,
+    networks: Mapping[str, Path],
+    event: str,
+    on_network: bool = False,
 ) -> Software:
-    """Returns what is installed here and decides the estimates of a cell."""
-    found = installed(ego, traffic, networks)
+    """Returns what is installed here and decides the estimates of a cell; see `shard.installed`."""
+    found = installed(ego, traffic, networks, on_network)
     name, _ = name_and_options(event, "event")
     plugins = {**found.agents, f"event {name}": origin_of(find(EVENTS, name))}
     return Software(harness_sha256(entry=__name__), found.versions, plugins)
@@ -73,7 +79,8 @@ def software_of(
 def estimate(task: RareTask) -> SubsetRun:
     """Makes a run or a pilot; raises a `RunFolderError` if the software is not that of the task."""
     forget_identities()
-    found = software_of(task.ego, task.traffic, task.networks, task.event)
+    on_network = task.scene.network is not None
+    found = software_of(task.ego, task.traffic, task.networks, task.event, on_network)
     if changed := found.differences(task.software):
         raise RunFolderError(
             f"{task.title}: changed since the first run began: {changed}; start again with another "
@@ -89,21 +96,23 @@ def estimate(task: RareTask) -> SubsetRun:
 
     @cache
     def simulation_of(scenes: int) -> Simulation:
-        return Simulation(scene, scenes, task.ego.key, drivers.traffic, drivers.agents)
+        engine = engine_on(scene)
+        return Simulation(scene, scenes, task.ego.key, drivers.traffic, drivers.agents, engine)
 
     def level(normal: Floats, seeds: Seeds) -> Floats:
         levels = []
         for start in range(0, seeds.size, EPISODES_AT_ONCE):
             part = slice(start, start + EPISODES_AT_ONCE)
             simulation = simulation_of(seeds[part].size)
-            # Rounding must not give 1, which is no draw.
-            draws = np.minimum(special.ndtr(normal[part]), np.nextafter(1.0, 0.0))
+            draws = normal[part]
+            if not on_network:  # rounding must not give 1, which is no draw
+                draws = np.minimum(special.ndtr(draws), np.nextafter(1.0, 0.0))
             simulation.reset(seeds[part], draws=draws)
             levels.append(lowest_levels(simulation, event))
         return np.concatenate(levels)
 
     rng = np.random.default_rng([task.seed, task.run])
-    space = level, 4 * scene.vehicles + 1, task.samples
+    space = level, count_of(scene), task.samples
     if task.pilot is None:
         made = pilot_run(*space, rng)
     else:

@@ -309,10 +309,9 @@ def _check_road(suite: Suite, cell: Cell, engine: EngineName, networks: Mapping[
     from charms_bench.roads.settings import problem_of_driver
 
     others = traffic_of(cell.traffic.traffic).agents
-    seats = [(cell.ego.agent, True)]
-    seats += [(AgentSpec(name=name), False) for name in others if name != PRESCRIBED]
-    for driver, is_ego in seats:
-        what = problem_of_driver(agent_of(driver, networks), cell.scene, is_ego)
+    seats = [cell.ego.agent, *(AgentSpec(name=name) for name in others if name != PRESCRIBED)]
+    for driver in seats:
+        what = problem_of_driver(agent_of(driver, networks))
         if engine != "batched":
             what = f"the engine '{engine}' has straight roads only; `verify --road` compares others"
         if what:

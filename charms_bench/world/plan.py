@@ -8,7 +8,7 @@ import numpy as np
 from charms_bench.world.lane_geometry import STRAIGHT
 from charms_bench.world.road import position, width_at
 from charms_bench.world.road_network import NO_LINE, STRIPED, Network
-from charms_bench.world.scene import Bools, Floats
+from charms_bench.world.scene import Bools, Floats, Ints
 
 STEP_M = 2.0
 """About how far apart the points of a line are."""
@@ -56,7 +56,7 @@ def lines_of(road: Network) -> Lines:
 
 OF_VEHICLES = (
     *("present", "x", "y", "heading", "length", "width"),
-    *("speed", "acceleration", "crashed"),
+    *("speed", "acceleration", "lane", "target_lane", "crashed"),
 )
 """What a plan has of each vehicle."""
 
@@ -65,6 +65,7 @@ OF_VEHICLES = (
 class Plan:
     """N vehicles on a network, [..., N]; x and y are those of the network."""
 
+    road: Network
     lines: Lines
     present: Bools
     is_obstacle: Bools
@@ -75,6 +76,9 @@ class Plan:
     width: Floats
     speed: Floats
     acceleration: Floats
+    lane: Ints
+    """As an index of the road's lanes, as `target_lane`."""
+    target_lane: Ints
     crashed: Bools
 
     def at(self, frame: int) -> "Plan":
@@ -87,4 +91,4 @@ def plan_over_time(plans: Sequence[Plan]) -> Plan:
     """The plan of all moments, from the plan of each."""
     names = ("is_obstacle", *OF_VEHICLES)
     stacked = {name: np.stack([getattr(plan, name) for plan in plans]) for name in names}
-    return Plan(plans[0].lines, **stacked)
+    return Plan(plans[0].road, plans[0].lines, **stacked)

@@ -166,6 +166,21 @@ class Profile(FrozenModel):
             raise ValueError("expected target_speeds_mps or target_speed_steps_mps, not both")
         return self
 
+    def beginning_at(self, speed_mps: float) -> "Profile":
+        """The same profile, whose target speeds begin at a lower speed if they are all above it.
+
+        Target speeds that are listed go on in the same distances until one is not above the speed.
+        """
+        if speed_mps >= self.target_speed_min_mps:
+            return self
+        speeds = self.target_speeds_mps
+        if speeds:
+            distance = (speeds[-1] - speeds[0]) / (len(speeds) - 1)
+            more = math.ceil((speeds[0] - speed_mps) / distance)
+            speeds = (*(speeds[0] - k * distance for k in range(more, 0, -1)), *speeds)
+        changes = {"target_speed_min_mps": speed_mps, "target_speeds_mps": speeds}
+        return self.model_copy(update=changes)
+
     def constants(self, dt: float, mixed_sizes: bool = False) -> Constants:
         """The constants as compiled code reads them, for simulation steps of `dt` seconds."""
         return Constants(

@@ -344,10 +344,6 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
         ({"traffic": ["idm_mobil"]}, "traffic: found list, expected a name, a dictionary or a Tra"),
         ({"scene": {"road": "merge-v9"}}, "no road named 'merge-v9'.*Did you mean 'merge-v"),
         (
-            {"scene": {"road": "roundabout-v0"}},
-            "actions: on the road 'roundabout-v0': it commands target speeds from 22 m/s, and the",
-        ),
-        (
             {"road": "merge-v0", "lanes": 4},
             "the road 'merge-v0' has its own lanes and vehicles; remove scene.lanes",
         ),

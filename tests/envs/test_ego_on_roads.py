@@ -198,6 +198,10 @@ def test_the_default_traffic_of_a_road_is_its_own() -> None:
     assert "idm_mobil" in straight.simulation.drivers[0]
 
 
-def test_a_planner_cannot_be_the_traffic() -> None:
-    with pytest.raises(InputError, match="agent 'mpc' cannot drive on the road 'merge-v1': it pla"):
-        made("merge-v1", "mpc")
+def test_a_planner_can_be_the_traffic() -> None:
+    env = made("merge-v1", "mpc")
+    env.reset(seed=1)
+    steps = driven(env, [IDLE] * 3)
+    assert len(steps) == 3
+    state = env.simulation.engine.state
+    assert env.simulation.has_action[0, 1:][state.present[0, 1:]].all()

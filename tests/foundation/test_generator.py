@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import ndtr
 
 from charms_bench.foundation.generator import (
     choice,
@@ -16,6 +17,7 @@ from charms_bench.foundation.generator import (
     to_numpy,
     two_integers,
     uniform,
+    with_draws,
     word,
 )
 
@@ -92,3 +94,17 @@ def test_a_copied_state_continues_as_the_original() -> None:
     integers(state, 0, 10)
     copy = state.copy()
     assert [integers(state, 0, 10) for _ in range(9)] == [integers(copy, 0, 10) for _ in range(9)]
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-6.0, 6.0), min_size=5, max_size=5), SEEDS, st.integers(1, 8))
+def test_given_draws_come_first(draws: list[float], seed: int, bits: int) -> None:
+    seeds = np.array([seed], dtype=np.uint64)
+    (state,), (plain,) = with_draws(seeded(seeds), np.array([draws])), seeded(seeds)
+    share, count = ndtr(draws), 2**bits
+    assert random(state) == pytest.approx(share[0], abs=1e-12)
+    assert normal(state, 3.0, 2.0) == 3.0 + 2.0 * draws[1]
+    assert uniform(state, -5.0, 5.0) == pytest.approx(-5.0 + 10.0 * share[2], abs=1e-10)
+    assert abs(integers(state, 0, count) + 0.5 - count * share[3]) <= 0.5 + 1e-6
+    assert float(word(state)) == pytest.approx(share[4] * 2.0**64, abs=2.0**30)
+    assert [word(state) for _ in range(5)] == [word(plain) for _ in range(5)]

@@ -14,10 +14,10 @@ from command_line import charms_bench
 from polars.testing import assert_frame_equal
 
 import charms_bench as bench
-from charms_bench.errors import InputError
+from charms_bench.errors import CharmsBenchError, InputError
 from charms_bench.runs.finished_run import open_finished
 from charms_bench.runs.pairing import pairs_of
-from charms_bench.runs.runner import plan, run
+from charms_bench.runs.runner import combined, plan, run
 from charms_bench.runs.shard import ShardFiles, simulate
 from charms_bench.runs.suite import Suite
 from charms_bench.runs.suite_roads import RoadEntry
@@ -131,6 +131,20 @@ def test_a_network_of_kinematics_is_refused_on_a_road(
         changes = {"scene": scene, "roads": (RoadEntry(name="merge-v0"),)}
         with pytest.raises(InputError, match="receives on this road neither the ranges nor"):
             run(suite.model_copy(update=changes), tmp_path / "run", workers=1)
+
+
+def test_an_agent_that_cannot_drive_on_roads_leaves_the_other_cells_and_is_named_once(
+    network_file: NetworkFile, tmp_path: Path
+) -> None:
+    network = network_file(np.zeros((25, 5)), metadata={"observation": '{"type": "Kinematics"}'})
+    egos = [{"agent": network.name}, {"agent": "idm_mobil"}]
+    given = {"suite": "s", "episodes": 1, "egos": egos, "roads": ["merge-v0", "u-turn-v0"]}
+    suite = Suite.model_validate(given, context={"folder": tmp_path})
+    failed: dict[int, CharmsBenchError] = {}
+    assert {shard.cell for shard in plan(suite, "batched", failed)} == {2, 3}
+    error = combined(suite, failed)
+    assert f"(also {network.name} in u-turn-v0)" in str(error)
+    assert not hasattr(error, "__notes__")
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator
 from html import unescape
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import polars as pl
@@ -15,7 +16,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scenes import scene_of
 
-from charms_bench.api import open_run, rare
+from charms_bench import read_road
+from charms_bench.api import open_run
 from charms_bench.api.evaluation import run as run_file
 from charms_bench.engine.collision_kinds import (
     ANY_ANGLE,
@@ -34,6 +36,7 @@ from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite, load_suite
 from charms_bench.testing.verify import cases_of
 from charms_bench.world.named_road import NamedRoad
+from charms_bench.world.road import local_coordinates
 from charms_bench.world.scene import SceneSettings
 
 TEXT = """
@@ -134,18 +137,17 @@ def test_what_if_changes_nothing_before_its_decision(
     assert not np.array_equal(told.recorded.plan.x[start + 30], told.other.plan.x[start + 30])
 
 
-def test_a_planner_in_a_recorded_episode_is_rejected_by_the_name_of_the_road(made: Any) -> None:
-    with pytest.raises(InputError, match="agent 'mpc' cannot drive on the road 'u-turn-v1'"):
-        made.what_if(1, 2, agent="mpc", ego="charms", road="Bend", traffic="environment")
+def test_a_planner_takes_over_in_a_recorded_episode(made: Any) -> None:
+    told = made.what_if(1, 2, agent="mpc", ego="charms", road="Bend", traffic="environment")
+    assert told.other.agents[0] == "mpc"
+    assert not np.array_equal(told.recorded.plan.x[told.start + 30], told.other.plan.x[-1])
 
 
 @pytest.mark.parametrize(
     "describe_as_straight",
     [
         lambda made, path: made.dataset("highd", output=path, **BEND),
-        lambda made, path: made.replay(1, **BEND).write_commonroad(path / "a.xml"),
         lambda made, path: cases_of(made.suite),
-        lambda made, path: rare(made.path.parent / "roads.yaml", output=path),
         lambda made, path: standard(made.suite, path, read_population("i75")),
     ],
 )
@@ -154,7 +156,6 @@ def test_what_knows_only_the_straight_road_rejects_others(
 ) -> None:
     with pytest.raises(InputError, match=r"straight road, not the road '(merge-v0|u-turn-v1)'"):
         describe_as_straight(made, tmp_path / "new")
-    assert not list(tmp_path.glob("*.xml"))
 
 
 def test_rows_do_not_depend_on_the_number_of_workers(made: Any, tmp_path: Path) -> None:
@@ -185,7 +186,32 @@ def test_trajectories_are_those_of_all_vehicles_on_the_network(made: Any) -> Non
         (pl.col("speed").abs().max() / 15).alias("most_m"),
     )
     assert (moved["step_m"] <= 1.2 * moved["most_m"] + 0.1).all()
-    assert rows["lane"].is_null().all()
+    road = replay.plan.road
+    for x, y, lane in rows.sample(100, seed=1).select("x", "y", "lane").iter_rows():
+        s, beside = local_coordinates(road, lane, x, y)
+        assert abs(beside) <= 2.5
+        assert -5.0 <= s <= road.lanes["length"][lane] + 5.0
+
+
+def test_a_commonroad_scenario_has_the_real_lanes(made: Any, tmp_path: Path) -> None:
+    replay = made.replay(1, **BEND)
+    replay.write_commonroad(tmp_path / "bend.xml")
+    table = replay.plan.road.lanes
+    root = ElementTree.parse(tmp_path / "bend.xml").getroot()
+    assert len(root.findall("lanelet")) == table.size
+    read = read_road(tmp_path / "bend.xml")
+    lengths = [lane.length for road in read.roads for lane in road.lanes]
+    np.testing.assert_allclose(sorted(lengths), sorted(table["length"]), rtol=1e-3)
+    for lanelet, row in zip(root.findall("lanelet"), table, strict=True):
+        follows = {int(each.get("ref", "0")) - 1 for each in lanelet.findall("successor")}
+        first = row["next_roads"]
+        roads = replay.plan.road.successors[first : first + row["next_count"]]
+        assert {table["first"][lane] for lane in follows} == {*roads.tolist()}
+    ego = root.find("planningProblem/initialState/position/point")
+    assert ego is not None
+    assert float(ego.findtext("y", "")) == pytest.approx(-44.0)
+    vehicles = replay.plan.present.any(axis=0) & ~replay.plan.is_obstacle[0]
+    assert len(root.findall("dynamicObstacle")) == vehicles.sum()
 
 
 def test_fault_on_roads_is_in_a_column_of_its_own(made: Any) -> None:
@@ -196,8 +222,8 @@ def test_fault_on_roads_is_in_a_column_of_its_own(made: Any) -> None:
     assert others["at_fault_on_road"].is_null().all()
     of_sides = on_road["ending"].is_in(["side", "off_road"])
     assert on_road["struck"].null_count() == of_sides.sum()
-    drivers = made.tables["small-roads-drivers"].frame()
-    assert "crashed_at_fault" not in drivers["metric"].to_list()
+    drivers = made.tables["small-roads-drivers"].frame().filter(metric="crashed_at_fault")
+    assert {*drivers.drop_nulls("value")["driver"]} == {"environment", "human", "charms"}
 
 
 @pytest.mark.parametrize(("heading", "kind"), [(0.0, STRIKING), (0.4, STRIKING), (0.5, SIDE)])

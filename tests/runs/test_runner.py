@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from run_folders import files, sign
 
-from charms_bench.errors import AgentError, CharmsBenchError, RunFolderError
+from charms_bench.errors import AgentError, RunFolderError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs import finished_run, runner, shards
@@ -261,14 +261,6 @@ def test_a_run_of_which_every_cell_fails_has_no_rows(tmp_path: Path) -> None:
     with pytest.raises(AgentError, match="in idm_mobil: agent 'outside_raising', ep") as raised:
         run(suite(egos=egos, episodes=2), tmp_path, workers=1)
     assert [note[:5] for note in raised.value.__notes__] == ["Again"]
-
-
-def test_a_planner_that_cannot_drive_on_a_road_leaves_the_other_cells() -> None:
-    egos = [{"agent": "mpc"}, {"agent": "idm_mobil"}]
-    made = suite(egos=egos, roads=["merge-v0"], scene={"duration_s": 1.0})
-    failed: dict[int, CharmsBenchError] = {}
-    assert {shard.cell for shard in plan(made, "batched", failed)} == {1}
-    assert "plans on copies of a straight road" in str(failed[0])
 
 
 def test_a_shards_key_follows_the_agents_options_and_the_scene() -> None:

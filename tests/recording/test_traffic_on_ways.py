@@ -1,0 +1,100 @@
+"""The traffic on highway-env's roads, each vehicle along its own way."""
+
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from handmade_conduct import conduct
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
+from charms_bench.recording.columns import DRIVER_SUMS
+from charms_bench.recording.recording import Recording
+from charms_bench.roads.engine import RoadEngine
+from charms_bench.roads.settings import on_road
+from charms_bench.world.named_road import NamedRoad
+from charms_bench.world.scenario import PRESCRIBED
+from charms_bench.world.scene import SceneSettings
+
+FREE = {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0}
+OF_FAULT = ("at_fault", "rear_end_striking", "rear_end_struck", "side")
+"""What is judged by other rules on other roads."""
+
+
+def simulation(road: str, scenes: int, traffic: Traffic, **configuration: Any) -> Simulation:
+    """Scenes on a road that have just started, with IDM+MOBIL as the ego."""
+    named = NamedRoad(name=road, configuration=configuration or None)
+    settings = on_road(SceneSettings.model_validate({"profile": FREE, "duration_s": 20.0}), named)
+    names = {"idm_mobil", *traffic.agents} - {PRESCRIBED}
+    agents = {name: make_agent(name) for name in names}
+    made = Simulation(settings, scenes, "idm_mobil", traffic, agents, RoadEngine)
+    made.reset(np.arange(scenes, dtype=np.uint64))
+    return made
+
+
+@pytest.mark.parametrize("traffic", [OneAgent(PRESCRIBED), Mixture({"charms": 0.5, "human": 0.5})])
+def test_on_a_straight_network_the_traffic_does_what_the_straight_road_says(
+    traffic: Traffic,
+) -> None:
+    scenes, lanes = 8, 3
+    crowd = {"lanes_count": lanes, "vehicles_count": 20, "vehicles_density": 3.0}
+    made = simulation("highway-v0", scenes, traffic, **crowd)
+    recording = Recording(made)
+    names = ("x", "y", "heading", "speed", "acceleration", "steering", "lane", "target_lane",
+             "crashed")  # fmt: skip
+    frames: list[dict[str, Any]] = []
+
+    def keep() -> None:
+        frames.append({name: getattr(made.engine.state, name).copy() for name in names})
+
+    keep()
+    made.step_watchers.append(keep)
+    while made.scene.active.any():
+        made.step()
+        recording.note()
+    rows = recording.drivers().filter(~pl.col("is_ego"))
+    compared = [name for name in DRIVER_SUMS if name not in OF_FAULT]
+    for b in range(scenes):
+        own = frames[: int(made.steps[b]) * made.settings.steps_per_decision + 1]
+        fields = {name: np.array([frame[name][b] for frame in own]) for name in names}
+        expected = conduct(every=5, collision=fields["crashed"] * 3, **fields)[1:]
+        found = rows.filter(episode=b).select(pl.col(compared).sum()).row(0, named=True)
+        for name in compared:
+            total = sum(each[name] for each in expected)
+            assert found[name] == pytest.approx(total, abs=1e-6), (b, name)
+    events = ("lane_changes", "hard_braking_by", "near_misses_by", "pet_by", "rss_by_s")
+    counted = rows.select(pl.col(events).sum()).row(0, named=True)
+    assert all(counted.values()), counted
+
+
+def test_every_vehicle_is_counted_on_a_road_where_they_come_and_go() -> None:
+    made = simulation("intersection-v1", 6, OneAgent(PRESCRIBED))
+    recording = Recording(made)
+    state = made.engine.state
+    met: list[set[int]] = [set() for _ in range(6)]
+    lost: list[set[int]] = [set() for _ in range(6)]
+    driven = np.zeros(6)
+    running = np.ones(6, dtype=np.bool_)
+    while True:
+        for b, i in zip(*np.nonzero(state.present & running[:, None]), strict=True):
+            if i:
+                met[b].add(int(state.entry[b, i]))
+                if state.crashed[b, i]:
+                    lost[b].add(int(state.entry[b, i]))
+        if not made.scene.active.any():
+            break
+        running = made.scene.active.copy()
+        was = state.entry.copy(), state.present.copy(), state.x.copy(), state.y.copy()
+        made.step()
+        recording.note()
+        stayed = was[1] & state.present & (state.entry == was[0]) & running[:, None]
+        moved = np.hypot(state.x - was[2], state.y - was[3])
+        driven += np.where(stayed[:, 1:], moved[:, 1:], 0.0).sum(axis=1)
+    rows = recording.episodes()
+    assert rows["traffic_vehicles"].to_list() == [len(each) for each in met]
+    assert rows["traffic_crashed"].to_list() == [len(each) for each in lost]
+    # The way is longer than the chords between decisions, but only a little.
+    np.testing.assert_allclose(rows["traffic_distance_m"], driven, rtol=0.03)
+    assert rows["traffic_crashed"].sum() > 0
