@@ -34,6 +34,7 @@ from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.fault import Fault
+from charms_bench.roads.junctions import RoadJunctions
 from charms_bench.roads.locating import coordinates_of, forget
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.plan import plan_of
@@ -138,8 +139,17 @@ class RoadEngine(Shown):
         return self._seen._replace(**arrays)
 
     @cached_property
+    def _shown(self) -> Scene:
+        return self.scene.read_only().at(self._junctions(1))
+
+    @cached_property
     def _shown_views(self) -> Scene:
-        return self._shown if self._views is self._seen else self._views.read_only()
+        if self._views is self._seen:
+            return self._shown
+        return self._views.read_only().at(self._junctions(self._seen.x.shape[1]))
+
+    def _junctions(self, views: int) -> RoadJunctions:
+        return RoadJunctions(self.episodes, self._ways, views)
 
     def __getstate__(self) -> dict[str, Any]:
         own = super().__getstate__()
