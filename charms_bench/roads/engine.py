@@ -360,7 +360,8 @@ class RoadEngine(Shown):
         if key not in self._roads:
             shown = self._shown_views if is_traffic else self._shown
             road = shown.road._replace(lanes=lanes, speed_limit=speed_limit)
-            self._roads[key] = shown._replace(road=road)
+            views = self._seen.x.shape[1] if is_traffic else 1
+            self._roads[key] = shown._replace(road=road).at(self._junctions(views))
         return self._roads[key]
 
 
