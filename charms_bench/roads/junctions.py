@@ -78,7 +78,9 @@ def _describe(
 
 
 @compiled
-def _write_way(scenes: Scenes, ways: Ways, b: int, i: int, own: Observations, way: Observations) -> None:
+def _write_way(
+    scenes: Scenes, ways: Ways, b: int, i: int, own: Observations, way: Observations
+) -> None:
     """Writes what the road and the route say of the way of vehicle i."""
     road, vehicle = scenes.road, scenes.vehicles[b, i]
     lane = vehicle.lane

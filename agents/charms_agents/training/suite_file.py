@@ -108,7 +108,10 @@ def _check_conditions(
         for index, condition in enumerate(suite.conditions[each])
     ]
     for at, condition in named or [(("stages", name), Condition())]:
-        traffic, scene = condition.traffic or stage.traffic, _applied(document, at, condition, stage)
+        traffic, scene = (
+            condition.traffic or stage.traffic,
+            _applied(document, at, condition, stage),
+        )
         steps, expected = (each.profile.target_speed_steps_mps for each in (scene, stage.scene))
         if steps != expected:
             what = f"{[*steps]}; expected those of the stage '{name}', {[*expected]}"
@@ -126,9 +129,7 @@ def _check_conditions(
             )
 
 
-def _applied(
-    document: Document, at: Location, condition: Condition, stage: Stage
-) -> SceneSettings:
+def _applied(document: Document, at: Location, condition: Condition, stage: Stage) -> SceneSettings:
     """The scene of a condition on the last of its roads; refuses roads that cannot be had."""
     scene = stage.scene
     for index, each in enumerate(condition.by_road):
