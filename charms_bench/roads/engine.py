@@ -42,7 +42,9 @@ from charms_bench.roads.right_of_way import enforce
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
+    KINDS,
     OBSTACLE,
+    ROUTE_STEPS,
     VEHICLE,
     Here,
     Row,
@@ -242,12 +244,15 @@ class RoadEngine(Shown):
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
         assert saved is not None
-        start = 0
-        for array in self._kept:
-            kind = packed(array.dtype)
-            end = start + array[0].size * kind.itemsize
-            part = np.ascontiguousarray(saved[:, start:end]).view(kind)
-            array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
+        sizes = [array[0].size * packed(array.dtype).itemsize for array in self._kept]
+        if saved.shape != (rows.size, sum(sizes)):
+            expected = rows.size, sum(sizes)
+            raise InputError(f"network: found the shape {saved.shape}, expected {expected}")
+        parts = np.split(saved, np.cumsum(sizes)[:-1], axis=1)
+        for array, part in zip(self._kept, parts, strict=True):
+            own = np.ascontiguousarray(part).view(packed(array.dtype))
+            array[rows] = own.reshape(rows.size, *array.shape[1:])
+        self._check(rows)
         self._fault.start(rows)
         vehicles = self.episodes.scenes.vehicles
         had_targets = vehicles["kind"][rows] != CONTINUOUS
@@ -258,6 +263,23 @@ class RoadEngine(Shown):
         target_speed *= self._kinds[rows] != BY_CONTROLS
         vehicles["target_speed"][rows] = target_speed
         self._show(rows)
+
+    def _check(self, rows: Ints) -> None:
+        """Raises an `InputError` if a state has lanes, places or routes that the road has not."""
+        scenes, ways = self.episodes.scenes, self._ways
+        vehicles, lanes = scenes.vehicles[rows], scenes.road.lanes.size
+        values = {name: vehicles[name] for name in ("kind", "lane", "target_lane", "route_roads")}
+        values |= {name: vehicles[name] for name in ("route_numbers", "route_step", "route_end")}
+        values |= {"speed_index": vehicles["speed_index"], "ways": ways.lanes[rows]}
+        values |= {"order": scenes.order["place"][rows]}
+        most = {"kind": len(KINDS), "order": vehicles.shape[1]}
+        most |= dict.fromkeys(("route_step", "route_end"), ROUTE_STEPS + 1)
+        most["speed_index"] = max(scenes.target_speeds.size, 1)
+        for name, found in values.items():
+            least = -1 if name in ("route_numbers", "ways") else 0
+            beyond = most.get(name, lanes)
+            if ((found < least) | (found >= beyond)).any():
+                raise InputError(f"network: {name}: expected {least} to {beyond - 1}")
 
     @property
     def _kept(self) -> tuple[NDArray[Any], ...]:
