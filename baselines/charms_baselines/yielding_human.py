@@ -6,9 +6,9 @@ vehicle arrives at the conflict point. The driver
 
 1. accepts the gap if the vehicle arrives there later than the critical headway after the driver has
    reached the stop line, or has passed before. The critical headways are those of the Highway
-   Capacity Manual (6th edition, 2016): 6.5 s to cross the major road (two-way stop control, exhibit
-   20-11, through traffic of the minor street, two lanes), and 4.98 s to merge (entry of a roundabout
-   with one lane, chapter 22);
+   Capacity Manual (6th edition, 2016): 6.5 s to cross (chapter 20, through traffic of the minor
+   street under two-way stop control), and 4.98 s to merge (chapter 22, the entry of a roundabout
+   with one lane);
 2. otherwise approaches the stop line as a standing leader, with the driver's own IDM;
 3. does not stop beyond the line any more;
 4. if nothing says who has the right of way, gives way to the vehicle that arrives first;
