@@ -1,13 +1,21 @@
 """Training suites with roads: their conditions, the goal in the reward, and how they continue."""
 
+# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
+
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+
+from charms_agents.human.simulated import simulated_samples
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
+from charms_agents.training.network import untrained
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.rewards import Weights
 from charms_agents.training.settings import TrainingSuite
+from charms_agents.training.standardised import folded, standardise, unfolded
 from charms_agents.training.suite_file import load_training
 from handmade_scene import simulation_of
 
@@ -97,3 +105,46 @@ def test_the_goal_earns_its_reward_once_and_for_the_ego_itself() -> None:
         rewards.append(float(reward(simulation, prepared)[0]))
     # Alone, the ego is safe: 1, of which cos 60 degrees counts, as of the goal.
     assert rewards == pytest.approx([0.5, 0.5 + 25.0])
+
+
+def test_a_folded_network_takes_plain_observations_of_junctions() -> None:
+    network, seen = untrained((8,), 0, 14 * 8, 6), torch.rand(5, 14 * 8) * 2 - 1
+    expected = network(standardise(seen))
+    plain = folded(network)
+    torch.testing.assert_close(plain(seen), expected)
+    torch.testing.assert_close(unfolded(plain)(standardise(seen)), expected)
+
+
+def test_drivers_on_roads_are_imitated(tmp_path: Path) -> None:
+    file = suite_with("merge-v1", tmp_path)
+    human = """
+human:
+  recordings: none
+  simulated:
+    agents: [idm_mobil]
+    scene: {profile: {name: charms, speed_min_mps: 0.0, target_speed_min_mps: 0.0}}
+    traffic: idm_mobil
+    conditions: [roads]
+    episodes: 10
+  stages: {people: {drivers: simulated}}
+"""
+    file.write_text(file.read_text() + human)
+    suite = load_training(file)
+    assert suite.human is not None
+    simulated = suite.human.simulated
+    assert simulated is not None
+    samples = simulated_samples(
+        [each.make({}) for each in simulated.agents],
+        suite.places_of(simulated),
+        {name: make_agent(name) for name in suite.drivers_of(simulated)},
+        simulated.episodes,
+        suite.first_simulated_seed,
+        suite.observed,
+        suite.actions,
+    )
+    # Vehicles come from the ramp of the merge and from the other entries of the roundabout.
+    assert samples.observations[:, 8, 0].any()
+    assert (np.abs(samples.observations) <= 1).all()
+    speeds = samples.observations[:, 0, 0] * 33
+    # At the roundabout, drivers are slow, and on the merge, they are fast.
+    assert speeds.min() < 10 < 25 < speeds.max()

@@ -70,8 +70,8 @@ class RewardScales(FrozenModel):
     """What a time to collision of 0 takes off the own reward, and of `CONFLICT_S` nothing; by
     default, conflicts cost nothing more than r_s says."""
     goal_reward: Positive | None = None
-    """The own reward of reaching the goal of a road, in addition to that of the decision. An episode
-    ends there, so it has to be worth what driving on would earn: at most 1 / (1 - discount)."""
+    """The own reward of reaching the goal of a road, in addition to that of the decision. An
+    episode ends there, so it has to be worth more than driving on: 1 / (1 - discount)."""
 
 
 class Before(NamedTuple):
