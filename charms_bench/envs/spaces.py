@@ -15,9 +15,9 @@ from charms_bench.world.actions import (
     outputs_of,
 )
 from charms_bench.world.interaction_observation import Interaction
+from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import (
     EGO,
-    OBSERVATIONS,
     SPEED_SCALE_MPS,
     TRAINED_IN,
     Y_SCALE_M,
@@ -46,7 +46,7 @@ def spaces_of(
     where: dict[str, Any] = {"environment": "Ego-v0", "decision_hz": settings.decision_hz}
     if not is_continuous and meta_actions_of(like) != DEFAULT_ACTIONS:
         where["actions"] = described_actions(meta_actions_of(like))
-    if isinstance(observation, tuple(OBSERVATIONS.values())):
+    if isinstance(observation, Neighbours | Kinematics | Interaction):
         where["observation"] = described(observation)
     if isinstance(observation, Interaction):
         bound = np.ones(observation.shape, dtype=np.float32)

@@ -1,5 +1,4 @@
-"""Where the lanes of a network cross and merge, who has the right of way there, and which lanes lead
-there: computed once, from the lanes' geometry."""
+"""Where the lanes of a network cross and merge, computed once, from the lanes' geometry."""
 
 import math
 from collections import defaultdict
@@ -69,15 +68,15 @@ def conflicts(road: Network, ranks: Ints) -> Conflicts:
         for each in dict.fromkeys(following):
             before[each].append(lane)
     found: list[list[tuple[float, int, float, int, int, int]]] = [[] for _ in range(count)]
-    for each in conflicts_of(_roads(road, after), frozenset()):
-        lanes = int(each.lanes[0]), int(each.lanes[1])
+    for conflict in conflicts_of(_roads(road, after), frozenset()):
+        lanes, at = (int(conflict.lanes[0]), int(conflict.lanes[1])), conflict.at
         shared = sorted({*after[lanes[0]]} & {*after[lanes[1]]})
-        is_merging = each.kind == "merging"
+        is_merging = conflict.kind == "merging"
         for into in shared if is_merging else (-1,):
-            first = _priority(road, ranks, lanes, each.at, into)
+            first = _priority(road, ranks, lanes, at, into)
             kind = MERGING if is_merging else CROSSING
             for k, sign in enumerate((1, -1)):
-                place = each.at[k], lanes[1 - k], each.at[1 - k]
+                place = at[k], lanes[1 - k], at[1 - k]
                 found[lanes[k]].append((*place, kind, into, sign * first))
     rows = [row for lane in found for row in sorted(set(lane))]
     feeds = [list(_feeds(road, before, row[1], row[2])) for row in rows]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from charms_bench.foundation.arrays import Bools, Floats
-from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, wrap_to_pi
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.roads.conflicts import BEHIND as GIVES_WAY
 from charms_bench.roads.conflicts import CROSSING, MERGING, Conflicts
 from charms_bench.roads.episodes import Episodes
@@ -146,9 +146,9 @@ def _meet(
             own = starts[k] + table.s[c] - x
             if own < -CLEAR_M or own > RANGE_M:
                 continue
-            if table.kind[c] == MERGING and k + 1 < lanes.size and lanes[k + 1] >= 0:
-                if lanes[k + 1] != table.into[c]:
-                    continue
+            after = lanes[k + 1] if k + 1 < lanes.size else -1
+            if table.kind[c] == MERGING and after >= 0 and after != table.into[c]:
+                continue
             if own > 0.0:
                 column = 5 if table.priority[c] == GIVES_WAY else 6
                 way[column] = min(way[column], np.float32(own / RANGE_M))
@@ -174,9 +174,9 @@ def _distance_to(road: Network, vehicle: Row, table: Conflicts, c: int) -> float
             return float(table.to_go[feed] - s)
     lane = table.other[c]
     s, r = local_coordinates(road, lane, vehicle.x, vehicle.y)
-    if abs(r) <= _ON_LANE_M and 0.0 <= s <= road.lanes[lane].length:
-        if math.cos(wrap_to_pi(vehicle.heading - heading_at(road, lane, s))) >= _ON_LANE_COS:
-            return float(table.other_s[c] - s)
+    is_beside = abs(r) <= _ON_LANE_M and 0.0 <= s <= road.lanes[lane].length
+    if is_beside and math.cos(vehicle.heading - heading_at(road, lane, s)) >= _ON_LANE_COS:
+        return float(table.other_s[c] - s)
     return math.inf
 
 

@@ -4,10 +4,10 @@ It is the same on every road, (8 + K, 8) float32 in [-1, 1] with K = `conflicts`
 whose ways meet that of the vehicle, the ego. Distances are along lanes; those of vehicles on the
 ego's way are between bumpers, and those to conflict points from the vehicles' centres.
 
-- Row 0, the ego: speed / 33 m/s; target speed less speed / 10 m/s; how often FASTER (or, negative,
-  SLOWER) was its last meta-action in a row / 4; acceleration / 10 m/s2; target lane less lane; its
-  offset from the middle of its lane / 4 m and its lateral speed / 5 m/s, both positive to the right;
-  and the speed limit / 33 m/s.
+- Row 0, the ego: speed / 33 m/s; target speed less speed / 10 m/s; how often FASTER (or,
+  negative, SLOWER) was its last meta-action in a row / 4; acceleration / 10 m/s2; target lane less
+  lane; its offset from the middle of its lane / 4 m and its lateral speed / 5 m/s, both positive to
+  the right; and the speed limit / 33 m/s.
 - Row 1, the way: whether there is a lane to its left, and to its right, to which it may change; the
   lane changes that its route asks for, positive to the right / 4, and the distance to where they
   must be done / 100 m; the distance to the end of its route / 200 m; the distances to the next
@@ -15,17 +15,19 @@ ego's way are between bumpers, and those to conflict points from the vehicles' c
   which its way turns within the next 25 m / pi. Distances are 1 if there is no such place in range.
 - Rows 2 to 7, the nearest vehicles within 100 m on the left, own and right lane, the leader of each
   before the follower: presence; the gap / 100 m; its speed less the ego's / 20 m/s; its speed / 33
-  m/s, negative for oncoming vehicles; its offset to the right / 12 m; its lateral speed / 5 m/s; how
-  fast the gap closes / the gap, 1/s; and the time gap of the vehicle behind / 5 s.
+  m/s, negative for oncoming vehicles; its offset to the right / 12 m; its lateral speed / 5 m/s;
+  how fast the gap closes / the gap, 1/s; and the time gap of the vehicle behind / 5 s.
 - Rows from 8 on, vehicles within 100 m of a point where their lane crosses the ego's way or merges
   with it, each at its first such point, sorted by the sum of both distances: presence; the ego's
-  distance / 100 m; the vehicle's distance / 100 m; its speed / 33 m/s; the time that it needs to the
-  point less the ego's, both at their speeds / 10 s; 1 if the lanes cross and 0 if they merge; 1 if
-  the ego has the right of way, -1 if the vehicle has it, 0 if that is not said; and the ego's time
-  to the point / 10 s. A vehicle stays there until both have passed the point by `CLEAR_M`.
+  distance / 100 m; the vehicle's distance / 100 m; its speed / 33 m/s; the time that it needs to
+  the point less the ego's, both at their speeds / 10 s; 1 if the lanes cross and 0 if they merge; 1
+  if the ego has the right of way, -1 if the vehicle has it, 0 if that is not said; and the ego's
+  time to the point / 10 s. A vehicle stays there until one of both has passed the point by
+  `CLEAR_M`.
 
 It contains nothing that a driver cannot see: no routes, target lanes, target speeds, drivers or
-memories of other vehicles. A vehicle counts for every point to which the lanes ahead of it can lead.
+memories of other vehicles. A vehicle counts for every point to which the lanes ahead of it can
+lead.
 """
 
 from typing import Annotated, ClassVar, Literal

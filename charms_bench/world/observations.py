@@ -151,11 +151,10 @@ def named_observation(like: str | Mapping[str, Any]) -> NamedObservation:
 
 def described(observation: NamedObservation) -> str:
     """An observation as text, for the metadata of an ONNX file."""
-    has_options = not isinstance(observation, Neighbours)
-    if has_options or observation.action_mask or observation.commands:
-        options = observation.model_dump(mode="json")
-        if isinstance(observation, Neighbours):
-            options = {name: value for name, value in options.items() if value}
+    options = observation.model_dump(mode="json")
+    if not isinstance(observation, Neighbours):
+        return json.dumps({"type": observation.name, **options})
+    if options := {name: value for name, value in options.items() if value}:
         return json.dumps({"type": observation.name, **options})
     text = (
         f"{observation.name}: (7, 5) float32, rows self, left front, left rear, front, rear, "

@@ -86,7 +86,7 @@ def seen(simulation: Simulation) -> np.ndarray:
 
 
 def plainly_met(engine: RoadEngine, b: int) -> list[tuple[float, float, float, int]]:
-    """The vehicles that the ego of scene b meets: both distances, speed and priority, by nearness."""
+    """Both distances, speed and priority of the vehicles that an ego meets, the nearest first."""
     scenes, table, ways = engine.episodes.scenes, engine.episodes.conflicts, engine._ways
     vehicles, road = scenes.vehicles[b], scenes.road
     lanes, starts = ways.lanes[b, 0], ways.starts[b, 0]

@@ -13,6 +13,7 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.runs.document import Document, Location
 from charms_bench.runs.suite import check_placement
+from charms_bench.world.observations import Neighbours
 from charms_bench.world.scene import SceneSettings
 
 PLACED = 1_000
@@ -75,6 +76,9 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         if human.fine_tunes is not None:
             key, under = (*place, "fine_tunes"), " under stages"
             _check_name(document, key, "stage", human.fine_tunes, suite.stages, under)
+        if human.drivers == "recorded" and not isinstance(suite.observed, Neighbours):
+            what = "recorded drivers are observed as neighbours or paper_neighbours"
+            raise document.error(("observation",), f"{what}; found {suite.observed.name}")
         if human.drivers == "simulated":
             _check_simulated(document, suite, name)
     try:
