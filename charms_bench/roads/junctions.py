@@ -44,11 +44,12 @@ class RoadJunctions:
     views: int
     """How many views there are of each scene: one for each of its vehicles, or 1."""
 
-    def describe(self, vehicles: Vehicles, observations: Observations) -> None:
+    def describe(self, vehicles: Vehicles, observations: Observations, occlusion: bool) -> None:
         """Completes the observations `interaction` of M vehicles that have just been shown."""
         rows, places = vehicles[0] // self.views, vehicles[1]
         episodes = self.episodes
-        _describe(episodes.scenes, self.ways, episodes.conflicts, rows, places, observations)
+        known = episodes.scenes, self.ways, episodes.conflicts
+        _describe(*known, rows, places, occlusion, observations)
 
 
 class _Meeting(NamedTuple):
@@ -64,7 +65,13 @@ class _Meeting(NamedTuple):
 
 @compiled_of_scenes
 def _describe(
-    scenes: Scenes, ways: Ways, table: Conflicts, rows: Ints, places: Ints, out: Observations
+    scenes: Scenes,
+    ways: Ways,
+    table: Conflicts,
+    rows: Ints,
+    places: Ints,
+    occlusion: bool,
+    out: Observations,
 ) -> None:
     count = scenes.vehicles.shape[1]
     meeting = _Meeting(
@@ -74,6 +81,8 @@ def _describe(
         b, i = rows[m], places[m]
         _write_way(scenes, ways, b, i, out[m, EGO], out[m, WAY])
         _meet(scenes, ways, table, b, i, meeting, out[m, WAY])
+        for j in range(count if occlusion else 0):
+            meeting.found[j] = meeting.found[j] and not _is_hidden(scenes, b, i, j)
         _write_conflicts(scenes, table, b, i, meeting, out[m])
 
 
@@ -178,6 +187,33 @@ def _distance_to(road: Network, vehicle: Row, table: Conflicts, c: int) -> float
     if is_beside and math.cos(vehicle.heading - heading_at(road, lane, s)) >= _ON_LANE_COS:
         return float(table.other_s[c] - s)
     return math.inf
+
+
+@compiled
+def _is_hidden(scenes: Scenes, b: int, i: int, j: int) -> bool:
+    """Whether the line between the centres of two vehicles passes through a third one."""
+    one, other = scenes.vehicles[b, i], scenes.vehicles[b, j]
+    for k in range(scenes.vehicles.shape[1]):
+        between = scenes.vehicles[b, k]
+        if k in (i, j) or between.kind < OBSTACLE:
+            continue
+        # Along and across the third vehicle, the line is at `start + part * step`.
+        first, last = 0.0, 1.0
+        for x, y, half in (
+            (between.direction_x, between.direction_y, between.length / 2),
+            (-between.direction_y, between.direction_x, between.width / 2),
+        ):
+            start = (one.x - between.x) * x + (one.y - between.y) * y
+            step = (other.x - one.x) * x + (other.y - one.y) * y
+            if step == 0.0:
+                if abs(start) > half:
+                    last = -1.0
+                continue
+            parts = (-half - start) / step, (half - start) / step
+            first, last = max(first, min(parts)), min(last, max(parts))
+        if first <= last:
+            return True
+    return False
 
 
 @compiled

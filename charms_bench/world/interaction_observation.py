@@ -65,6 +65,8 @@ class Interaction(FrozenModel):
     """Of the definition: a change of what a number means raises it."""
     conflicts: Annotated[int, Field(ge=1, le=50)] = 6
     """K, the rows of vehicles whose ways meet the ego's."""
+    occlusion: bool = False
+    """Whether these rows lack vehicles whose centre is hidden from the ego's behind another one."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -76,7 +78,7 @@ class Interaction(FrozenModel):
         observations = np.zeros((vehicles[0].size, *self.shape), dtype=np.float32)
         _fill(scene, vehicles[0], vehicles[1], observations)
         if scene.junctions is not None:
-            scene.junctions.describe(vehicles, observations)
+            scene.junctions.describe(vehicles, observations, self.occlusion)
         return observations
 
 

@@ -300,7 +300,7 @@ class SceneSettings(FrozenModel):
 class Junctions(Protocol):
     """What is along and across the ways of vehicles, where a road has junctions."""
 
-    def describe(self, vehicles: Vehicles, observations: Observations) -> None:
+    def describe(self, vehicles: Vehicles, observations: Observations, occlusion: bool) -> None:
         """Completes the observations `interaction` of M vehicles; see `interaction_observation`."""
 
 

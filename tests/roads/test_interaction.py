@@ -152,6 +152,37 @@ def test_what_a_driver_cannot_see_changes_no_bit(road: str) -> None:
     np.testing.assert_array_equal(seen(simulation), before)
 
 
+@pytest.mark.parametrize(("aside_m", "is_hidden"), [(0.0, True), (1.9, True), (2.1, False)])
+def test_a_vehicle_hides_what_is_behind_it(aside_m: float, is_hidden: bool) -> None:
+    simulation = driven("intersection-v1", 2)
+    engine = simulation.engine
+    assert isinstance(engine, RoadEngine)
+    vehicles: Any = engine.episodes.scenes.vehicles
+    b, j = np.argwhere(vehicles["kind"][:, 1:] > OBSTACLE)[0] + [0, 1]
+    ego = vehicles[b, 0]
+    vehicles["kind"][b, 1:] = 0
+    # A vehicle from the east, and one of 10 m by 4 m between both, whose long side is across.
+    lane = engine.episodes.task.lanes["o3", "ir3", 0]
+    places = [(60.0, -2.0), (60.0 + ego["x"], -2.0 + ego["y"])]
+    way = np.array([60.0 - ego["x"], -2.0 - ego["y"]])
+    along = way / np.hypot(*way)
+    across = np.array([-along[1], along[0]])
+    middle = np.array(places[1]) / 2 + aside_m * across
+    for i, (x, y), (cosine, sine) in ((j, places[0], (-1.0, 0.0)), (j + 1, middle, along)):
+        other = vehicles[b, i : i + 1]
+        other["kind"], other["x"], other["y"], other["lane"] = 6, x, y, lane
+        other["direction_x"], other["direction_y"] = cosine, sine
+        other["heading"], other["length"], other["width"] = np.arctan2(sine, cosine), 10.0, 4.0
+    vehicles["lane"][b, j + 1] = engine.episodes.task.lanes["il0", "o0", 0]  # leads nowhere
+    engine._moved[:] = True
+    egos = np.arange(20), np.zeros(20, dtype=np.int64)
+    shown = simulation.engine.seen_by(egos)
+    counts = [
+        Interaction(occlusion=each)(*shown)[b, FIRST_CONFLICT:, 0].sum() for each in (False, True)
+    ]
+    assert counts == [1.0, 0.0 if is_hidden else 1.0]
+
+
 def test_on_a_straight_road_the_rows_are_the_neighbours() -> None:
     observed = []
     for observation in ("interaction", "neighbours"):
