@@ -102,7 +102,12 @@ class Human(DriverModel):
         calls = scene.memory[vehicles][:, DRIVEN].astype(np.uint64)
         count = DRAWS if calls.all() else DRAWS + _OF_A_TRY * TRIES
         draws = uniforms(keys, calls, scene.entry[vehicles].astype(np.uint64), count)
-        return _drive(scene, vehicles[0], vehicles[1], draws, self._driving)
+        stops = self.stops(scene, vehicles)
+        return _drive(scene, vehicles[0], vehicles[1], draws, self._driving, stops)
+
+    def stops(self, scene: Scene, vehicles: Vehicles) -> Floats:
+        """The gaps (M,) from M vehicles to where they want to stop, m; none by default."""
+        return np.full(vehicles[0].size, math.inf)
 
 
 def _driving(drivers: Population) -> _Driving:
@@ -140,7 +145,7 @@ def _sha256(drivers: Population) -> str:
 
 @compiled_of_scenes
 def _drive(
-    scene: Scene, rows: Ints, places: Ints, draws: Floats, d: _Driving
+    scene: Scene, rows: Ints, places: Ints, draws: Floats, d: _Driving, stops: Floats
 ) -> tuple[Floats, Ints]:
     c, road, memory, timer_s = scene.constants, scene.road, scene.memory, scene.timer_s
     limit = c.idm_mobil.imposed_braking_mps2
@@ -181,6 +186,8 @@ def _drive(
         wanted = _behind(scene, b, i, scene.leaders[b, i, OWN], p)
         if lane != target:
             wanted = min(wanted, _behind(scene, b, i, scene.leaders[b, i, towards], p))
+        if stops[m] < math.inf:
+            wanted = min(wanted, idm(max(scene.speed[b, i], 0.0), stops[m], 0.0, p))
         step_s = c.dt if is_first else elapsed_s
         is_slow = not is_first and d.lag_s > step_s
         own[FELT] += (wanted - own[FELT]) * (step_s / d.lag_s if is_slow else 1.0)

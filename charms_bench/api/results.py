@@ -135,8 +135,7 @@ class Run:
         from charms_bench.plugins.onnx_policy import ASSUMED, OnnxPolicy
         from charms_bench.plugins.registry import is_network
         from charms_bench.world.actions import ACTIONS, meta_actions_of
-        from charms_bench.world.kinematics_observation import Kinematics
-        from charms_bench.world.observations import Neighbours, described
+        from charms_bench.world.observations import NamedObservation, described
 
         found = []
         for ego in self.suite.egos:
@@ -144,7 +143,7 @@ class Run:
                 continue
             if (path := self._finished.folder.network(ego.agent.name)) is not None:
                 policy = OnnxPolicy(path, ego.agent.decision_hz)
-                assert isinstance(policy.observation, Neighbours | Kinematics)
+                assert isinstance(policy.observation, NamedObservation)
                 seen, _, _ = described(policy.observation).partition(": (")
                 last = policy.history_length
                 names = tuple(action.name for action in meta_actions_of(policy.actions))

@@ -170,6 +170,8 @@ def _array_of(name: str, value: Any) -> NDArray[Any]:
 def check_state(state: SceneState) -> None:
     """Refuses values that cannot occur in a simulation.
 
+    On a road of highway-env, the engine checks its lanes and routes when it restores the state.
+
     Raises:
         InputError: A shape is wrong or a number out of range; the message names the field.
     """
@@ -181,9 +183,8 @@ def check_state(state: SceneState) -> None:
         shape = (scenes, 6) if name == "generator" else shape
         if array.shape != shape:
             raise InputError(f"{name}: found the shape {array.shape}, expected {shape}")
-    lengths, widths = zip(*settings.sizes_m, strict=True)
     bounds: dict[str, tuple[float, float]] = {
-        **{name: (-bound, bound) for name, bound in _magnitudes(settings).items()},
+        **({} if settings.network else _bounds_of_straight_roads(settings)),
         "phase": (0, settings.steps_per_decision),
         "steps": (0, settings.decisions),
         "ending": (0, len(ENDINGS) - 1),
@@ -192,12 +193,9 @@ def check_state(state: SceneState) -> None:
         "action": (0, ACTIONS_LIMIT - 1),  # a policy can have meta-actions of its own
         "collision": (0, len(COLLISIONS) - 1),
         "entry": (0, ENTRIES),
-        "target_lane": (0, settings.lanes - 1),
         "repeats": (-STEPS_LIMIT, STEPS_LIMIT),  # a policy can have steps of its own
         "temperament": (0.0, 1.0),
         "memory": (-np.inf, np.inf),
-        "length": (min(lengths), max(lengths)),
-        "width": (min(widths), max(widths)),
     }
     if any(len(set(numbers)) < len(numbers) for numbers in state.entry.tolist()):
         raise InputError("entry: two vehicles of a scene have the same number")
@@ -210,6 +208,16 @@ def check_state(state: SceneState) -> None:
         ):
             found = values[np.nonzero(wrong)][0] if values.ndim else values
             raise InputError(f"{name}: found {found}, expected {low:g} to {high:g}")
+
+
+def _bounds_of_straight_roads(settings: SceneSettings) -> dict[str, tuple[float, float]]:
+    lengths, widths = zip(*settings.sizes_m, strict=True)
+    return {
+        **{name: (-bound, bound) for name, bound in _magnitudes(settings).items()},
+        "target_lane": (0, settings.lanes - 1),
+        "length": (min(lengths), max(lengths)),
+        "width": (min(widths), max(widths)),
+    }
 
 
 def _magnitudes(settings: SceneSettings) -> dict[str, float]:

@@ -14,6 +14,7 @@ from charms_bench.world.actions import (
     meta_actions_of,
     outputs_of,
 )
+from charms_bench.world.interaction_observation import Interaction
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import (
     EGO,
@@ -35,8 +36,8 @@ def spaces_of(
 
     In `neighbours` and `paper_neighbours`, the rows of other vehicles and an action mask are within
     [-1, 1]. The bounds of the ego's position across the road and of its velocity are twice the
-    values that occur while it drives; with continuous actions, its position has no bounds. Other
-    observations have no bounds, as in highway-env.
+    values that occur while it drives; with continuous actions, its position has no bounds.
+    `interaction` is within [-1, 1]. Other observations have no bounds, as in highway-env.
     """
     actions: spaces.Space[Any] = spaces.Discrete(outputs_of(like))
     is_continuous = not meta_actions_of(like)
@@ -45,8 +46,11 @@ def spaces_of(
     where: dict[str, Any] = {"environment": "Ego-v0", "decision_hz": settings.decision_hz}
     if not is_continuous and meta_actions_of(like) != DEFAULT_ACTIONS:
         where["actions"] = described_actions(meta_actions_of(like))
-    if isinstance(observation, Neighbours | Kinematics):
+    if isinstance(observation, Neighbours | Kinematics | Interaction):
         where["observation"] = described(observation)
+    if isinstance(observation, Interaction):
+        bound = np.ones(observation.shape, dtype=np.float32)
+        return trained_in(spaces.Box(-bound, bound, dtype=np.float32), where), actions
     if not isinstance(observation, Neighbours):
         space = spaces.Box(-np.inf, np.inf, observation.shape, np.float32)
         return trained_in(space, where), actions

@@ -25,8 +25,7 @@ from charms_bench.plugins.deciding import Question, answer_of, part_of
 from charms_bench.plugins.event import Event
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import Actions, problem_of
-from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.observations import Neighbours, ObservationLike
+from charms_bench.world.observations import OBSERVATIONS, ObservationLike
 from charms_bench.world.scene import (
     ARRAYS,
     WRITABLE,
@@ -394,5 +393,5 @@ class _CheckedObservation(Checked[Any]):
 
 
 def _checked_observation(like: ObservationLike, rng: np.random.Generator, calls: int) -> Any:
-    is_ours = not callable(like) or type(like) in (Neighbours, Kinematics)
+    is_ours = not callable(like) or type(like) in OBSERVATIONS.values()
     return like if is_ours else _CheckedObservation(like, rng, calls)

@@ -46,8 +46,12 @@ from charms_bench.world.actions import (
     outputs_of,
     with_speed_steps,
 )
-from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.observations import ACTION_MASK, Neighbours, observation_described
+from charms_bench.world.observations import (
+    ACTION_MASK,
+    NamedObservation,
+    Neighbours,
+    observation_described,
+)
 from charms_bench.world.scene import Floats, Observations
 
 SIZE_LIMIT_BYTES = 64 * 2**20
@@ -222,9 +226,9 @@ def _check_keys(said: Mapping[str, str]) -> None:
             raise ModelError(f"metadata: no key '{key[:80]}'. Did you mean '{close[0]}'?")
 
 
-def _with_mask(seen: Neighbours | Kinematics, actions: ActionsLike) -> Neighbours:
+def _with_mask(seen: NamedObservation, actions: ActionsLike) -> Neighbours:
     """The observation of a network that receives the action mask as an input of its own."""
-    if isinstance(seen, Kinematics) or not meta_actions_of(actions):
+    if not isinstance(seen, Neighbours) or not meta_actions_of(actions):
         raise ModelError(
             f"has the input {MASK_INPUT}, which a network has with meta-actions and the "
             "observation neighbours or paper_neighbours only; put the mask into the network instead"

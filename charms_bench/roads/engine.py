@@ -34,6 +34,7 @@ from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.fault import Fault
+from charms_bench.roads.junctions import RoadJunctions
 from charms_bench.roads.locating import coordinates_of, forget
 from charms_bench.roads.looking_ahead import look_ahead
 from charms_bench.roads.order import neighbours
@@ -42,7 +43,9 @@ from charms_bench.roads.right_of_way import enforce
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
+    KINDS,
     OBSTACLE,
+    ROUTE_STEPS,
     VEHICLE,
     Here,
     Row,
@@ -147,8 +150,17 @@ class RoadEngine(Shown):
         return self._seen._replace(**arrays)
 
     @cached_property
+    def _shown(self) -> Scene:
+        return self.scene.read_only().at(self._junctions(1))
+
+    @cached_property
     def _shown_views(self) -> Scene:
-        return self._shown if self._views is self._seen else self._views.read_only()
+        if self._views is self._seen:
+            return self._shown
+        return self._views.read_only().at(self._junctions(self._seen.x.shape[1]))
+
+    def _junctions(self, views: int) -> RoadJunctions:
+        return RoadJunctions(self.episodes, self._ways, views)
 
     def __getstate__(self) -> dict[str, Any]:
         own = super().__getstate__()
@@ -251,12 +263,15 @@ class RoadEngine(Shown):
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
         assert saved is not None
-        start = 0
-        for array in self._kept:
-            kind = packed(array.dtype)
-            end = start + array[0].size * kind.itemsize
-            part = np.ascontiguousarray(saved[:, start:end]).view(kind)
-            array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
+        sizes = [array[0].size * packed(array.dtype).itemsize for array in self._kept]
+        if saved.shape != (rows.size, sum(sizes)):
+            expected = rows.size, sum(sizes)
+            raise InputError(f"network: found the shape {saved.shape}, expected {expected}")
+        parts = np.split(saved, np.cumsum(sizes)[:-1], axis=1)
+        for array, part in zip(self._kept, parts, strict=True):
+            own = np.ascontiguousarray(part).view(packed(array.dtype))
+            array[rows] = own.reshape(rows.size, *array.shape[1:])
+        self._check(rows)
         self._fault.start(rows)
         vehicles = self.episodes.scenes.vehicles
         had_targets = vehicles["kind"][rows] != CONTINUOUS
@@ -267,6 +282,23 @@ class RoadEngine(Shown):
         target_speed *= self._kinds[rows] != BY_CONTROLS
         vehicles["target_speed"][rows] = target_speed
         self._show(rows)
+
+    def _check(self, rows: Ints) -> None:
+        """Raises an `InputError` if a state has lanes, places or routes that the road has not."""
+        scenes, ways = self.episodes.scenes, self._ways
+        vehicles, lanes = scenes.vehicles[rows], scenes.road.lanes.size
+        values = {name: vehicles[name] for name in ("kind", "lane", "target_lane", "route_roads")}
+        values |= {name: vehicles[name] for name in ("route_numbers", "route_step", "route_end")}
+        values |= {"speed_index": vehicles["speed_index"], "ways": ways.lanes[rows]}
+        values |= {"order": scenes.order["place"][rows]}
+        most = {"kind": len(KINDS), "order": vehicles.shape[1]}
+        most |= dict.fromkeys(("route_step", "route_end"), ROUTE_STEPS + 1)
+        most["speed_index"] = max(scenes.target_speeds.size, 1)
+        for name, found in values.items():
+            least = -1 if name in ("route_numbers", "ways") else 0
+            beyond = most.get(name, lanes)
+            if ((found < least) | (found >= beyond)).any():
+                raise InputError(f"network: {name}: expected {least} to {beyond - 1}")
 
     @property
     def _kept(self) -> tuple[NDArray[Any], ...]:
@@ -375,7 +407,8 @@ class RoadEngine(Shown):
         if key not in self._roads:
             shown = self._shown_views if is_traffic else self._shown
             road = shown.road._replace(lanes=lanes, speed_limit=speed_limit)
-            self._roads[key] = shown._replace(road=road)
+            views = self._seen.x.shape[1] if is_traffic else 1
+            self._roads[key] = shown._replace(road=road).at(self._junctions(views))
         return self._roads[key]
 
 

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from copy import deepcopy
+from functools import cached_property
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded
 from charms_bench.roads import OF_FILES, TASKS, configuration
+from charms_bench.roads.conflicts import Conflicts
 from charms_bench.roads.controls import Controls, actions_of
 from charms_bench.roads.defaults import DEFAULTS, MOST_STEPS, SPLIT
 from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
@@ -115,6 +117,13 @@ class Episodes:
                 row["length"], row["width"] = each.length, each.width
         self.everyone = np.arange(count)
         self._rewards = np.zeros((count, 1 + len(self.task.terms)))
+
+    @cached_property
+    def conflicts(self) -> Conflicts:
+        """Where the lanes cross and merge."""
+        from charms_bench.roads.conflicts import conflicts  # slow to import
+
+        return conflicts(self.scenes.road, self.task.ranks(self.scenes))
 
     def seed(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         """Seeds the random generators of the scenes `rows`; otherwise, they continue."""

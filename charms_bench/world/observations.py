@@ -25,7 +25,8 @@ A lane that does not exist looks like one without vehicles. Two options add a ro
 `paper_neighbours` is the observation of the networks that the paper's authors released.
 
 `Kinematics` is highway-env's own observation, with its options; see
-`charms_bench.world.kinematics_observation`.
+`charms_bench.world.kinematics_observation`. `interaction` has the vehicles along and across the way
+of a vehicle on any road; see `charms_bench.world.interaction_observation`.
 """
 
 import json
@@ -40,6 +41,7 @@ from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.action_mask import action_masks
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
+from charms_bench.world.interaction_observation import Interaction
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.road import side_lanes
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
@@ -116,7 +118,12 @@ class PaperNeighbours(Neighbours):
 neighbours = Neighbours()
 paper_neighbours = PaperNeighbours()
 
-OBSERVATIONS = {kind.name: kind for kind in (Neighbours, PaperNeighbours, Kinematics)}
+NamedObservation = Neighbours | Kinematics | Interaction
+_KINDS: tuple[type[NamedObservation], ...] = (
+    *(Neighbours, PaperNeighbours),
+    *(Kinematics, Interaction),
+)
+OBSERVATIONS = {kind.name: kind for kind in _KINDS}
 """The observations that have a name."""
 
 
@@ -129,7 +136,7 @@ def observation_of(like: ObservationLike) -> Observation:
     return like if callable(like) else named_observation(like)
 
 
-def named_observation(like: str | Mapping[str, Any]) -> Neighbours | Kinematics:
+def named_observation(like: str | Mapping[str, Any]) -> NamedObservation:
     """The observation of a name, or of `{type: name, option: value}`; see `observation_of`."""
     options = dict(like) if isinstance(like, Mapping) else {"type": like}
     name = str(options.pop("type", None))[:80]
@@ -142,12 +149,12 @@ def named_observation(like: str | Mapping[str, Any]) -> Neighbours | Kinematics:
         raise InputError(f"observation {name}: {'.'.join(map(str, location))}: {what}") from error
 
 
-def described(observation: Neighbours | Kinematics) -> str:
+def described(observation: NamedObservation) -> str:
     """An observation as text, for the metadata of an ONNX file."""
-    if isinstance(observation, Kinematics) or observation.action_mask or observation.commands:
-        options = observation.model_dump(mode="json")
-        if isinstance(observation, Neighbours):
-            options = {name: value for name, value in options.items() if value}
+    options = observation.model_dump(mode="json")
+    if not isinstance(observation, Neighbours):
+        return json.dumps({"type": observation.name, **options})
+    if options := {name: value for name, value in options.items() if value}:
         return json.dumps({"type": observation.name, **options})
     text = (
         f"{observation.name}: (7, 5) float32, rows self, left front, left rear, front, rear, "
@@ -161,7 +168,7 @@ def described(observation: Neighbours | Kinematics) -> str:
     return text
 
 
-def observation_described(text: str) -> Neighbours | Kinematics:
+def observation_described(text: str) -> NamedObservation:
     """The observation that a text from `described` describes.
 
     Raises:

@@ -8,7 +8,7 @@ which no other vehicle of the episode has, does not depend on its place (`Scene.
 """
 
 from functools import cached_property, lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -298,6 +298,13 @@ class SceneSettings(FrozenModel):
         return self.profile.constants(1.0 / self.simulation_hz, len(self.sizes_m) > 1)
 
 
+class Junctions(Protocol):
+    """What is along and across the ways of vehicles, where a road has junctions."""
+
+    def describe(self, vehicles: Vehicles, observations: Observations, occlusion: bool) -> None:
+        """Completes the observations `interaction` of M vehicles; see `interaction_observation`."""
+
+
 class Scene(SceneArrays):
     """B scenes of N vehicles. A driver model may only write `WRITABLE` of its own vehicles."""
 
@@ -310,6 +317,17 @@ class Scene(SceneArrays):
     def unpacked(self) -> Unpacked:
         """The scene for compiled code, which unpacks it once."""
         return unpacked(self)
+
+    @cached_property
+    def junctions(self) -> Junctions | None:
+        """The junctions of the road; None on a straight road."""
+        return None
+
+    def at(self, junctions: Junctions) -> "Scene":
+        """The same scenes, on a road with junctions."""
+        scene = self._replace()
+        vars(scene)["junctions"] = junctions
+        return scene
 
     def __getstate__(self) -> None:
         """A copy of the scene is unpacked anew."""

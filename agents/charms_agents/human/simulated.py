@@ -15,11 +15,19 @@ import polars as pl
 from charms_agents.human.interface import through_interface
 from charms_agents.human.samples import Samples
 from charms_agents.human.soft_labels import columns_of
+from charms_bench.engine import EngineName, MakeEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
-from charms_bench.world.observations import CHANGE_SCALE, COMMANDS, REPEATS_SCALE, Neighbours
+from charms_bench.world.interaction_observation import CHANGE_MPS, EGO, REPEATS, Interaction
+from charms_bench.world.observations import (
+    CHANGE_SCALE,
+    COMMANDS,
+    REPEATS_SCALE,
+    NamedObservation,
+    Neighbours,
+)
 from charms_bench.world.scene import Observations, SceneSettings
 
 HELD_OUT = 0.1
@@ -35,7 +43,7 @@ def simulated_samples(
     others: Mapping[str, Agent],
     episodes: int,
     first_seed: int,
-    observation: Neighbours,
+    observation: NamedObservation,
     actions: Sequence[MetaAction] = DEFAULT_ACTIONS,
 ) -> Samples:
     """The samples of each of the drivers in each of the places.
@@ -52,7 +60,8 @@ def simulated_samples(
     for driver in drivers:
         for scene, traffic in places:
             seeds = np.arange(first_seed, first_seed + episodes, dtype=np.uint64)
-            simulation = Simulation(scene, episodes, _EGO, traffic, {**others, _EGO: driver})
+            agents = {**others, _EGO: driver}
+            simulation = Simulation(scene, episodes, _EGO, traffic, agents, _engine_of(scene))
             simulation.reset(seeds)
             seen, taken, running = _driven(simulation, observation, actions)
             last = np.arange(episodes) >= episodes - max(1, round(HELD_OUT * episodes))
@@ -64,22 +73,38 @@ def simulated_samples(
     return Samples(np.concatenate(observed), labels, np.concatenate(held_out), pl.DataFrame())
 
 
+def _engine_of(scene: SceneSettings) -> EngineName | MakeEngine:
+    if scene.network is None:
+        return "batched"
+    from charms_bench.roads.engine import RoadEngine  # slow to import
+
+    return RoadEngine
+
+
 def _driven(
-    simulation: Simulation, observation: Neighbours, actions: Sequence[MetaAction]
+    simulation: Simulation, observation: NamedObservation, actions: Sequence[MetaAction]
 ) -> tuple[Observations, np.ndarray, np.ndarray]:
     """Observations (D, B, rows, columns), actions (D, B), and which of them are samples (D, B)."""
     scene, egos, now = simulation.settings, simulation.ego_vehicles, simulation.scene
     speeds, seen, running, lanes, targets = [now.speed[egos]], [], [], [], []
     for _ in range(scene.decisions):
         running.append(now.active.copy())
-        seen.append(observation(now, egos))
-        lanes.append(now.lane[egos])
+        seen.append(observation(*simulation.engine.seen_by(egos)))
+        before = simulation.scene.lane[egos]
         simulation.step()
+        now = simulation.scene
+        # The numbers of lanes change from one road to the next.
+        lanes.append(before if scene.network is None else now.lane[egos])
         speeds.append(now.speed[egos])
         targets.append(now.target_lane[egos])
     driven = through_interface(np.array(speeds), scene.profile, actions)
     observed, lane, target = np.array(seen), np.array(lanes), np.array(targets)
-    if observation.commands:
+    if isinstance(observation, Interaction):
+        own = observed[:, :, EGO]
+        own[..., 1] = ((driven.target_speed - driven.speed[:-1]) / CHANGE_MPS).clip(-1, 1)
+        own[..., 2] = (driven.repeats / REPEATS).clip(-1, 1)
+        own[..., 3] = (driven.acceleration / CHANGE_MPS).clip(-1, 1)
+    elif isinstance(observation, Neighbours) and observation.commands:
         commands = observed[:, :, COMMANDS]
         commands[..., 0] = (driven.target_speed - driven.speed[:-1]) / CHANGE_SCALE
         commands[..., 1] = driven.repeats / REPEATS_SCALE

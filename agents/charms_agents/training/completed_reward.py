@@ -9,7 +9,7 @@ Equations are numbered as in the paper; `rewards` has them as they are printed. 
 - r_c (eq. 6) is about what passengers feel: the acceleration, its change, and lane changes begun.
 - A failure is a cost of the ego's own, so it is weighed by cos phi like everything that the ego
   wants for itself: for all orientations, a crash costs equally many units of the own reward. A
-  conflict can be one, too.
+  conflict can be one, too. To reach the goal of a road is a gain of the same kind.
 - r_o (eq. 7) is divided by a scale, by default its largest value, and is 0 when nobody is affected.
 """
 
@@ -28,6 +28,7 @@ from charms_agents.training.rewards import (
     forward_speed,
     others,
 )
+from charms_bench.engine.endings import GOAL
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.fields import FrozenModel, NonNegative, Positive
@@ -68,6 +69,9 @@ class RewardScales(FrozenModel):
     conflict_cost: Positive | None = None
     """What a time to collision of 0 takes off the own reward, and of `CONFLICT_S` nothing; by
     default, conflicts cost nothing more than r_s says."""
+    goal_reward: Positive | None = None
+    """The own reward of reaching the goal of a road, in addition to that of the decision. An
+    episode ends there, so it has to be worth more than driving on: 1 / (1 - discount)."""
 
 
 class Before(NamedTuple):
@@ -114,6 +118,8 @@ class CompletedReward:
         if self.scales.conflict_cost:
             own -= self.scales.conflict_cost * (1 - _safety(scene, CONFLICT_S, 0.0))
         own = np.where(simulation.failed, -self.scales.failure_cost, own)
+        if self.scales.goal_reward:
+            own = own + self.scales.goal_reward * (simulation.ending == GOAL)
         rewards = math.cos(self.angle_rad) * own
         if others_share := math.sin(self.angle_rad):
             gain = others(scene, prepared.affected, self.scales.others_gain_mps2)

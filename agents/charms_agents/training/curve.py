@@ -7,7 +7,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from charms_bench.engine.endings import OFF_ROAD, TIME
+from charms_bench.engine.endings import GOAL, OFF_ROAD, TIME
 from charms_bench.foundation.files import write_bytes
 
 
@@ -66,7 +66,7 @@ def point_of(
     count = len(ended)
     endings = [episode["ending"] for episode in ended]
     off_road = endings.count(OFF_ROAD)
-    crashed = count - off_road - endings.count(TIME)
+    crashed = count - off_road - endings.count(TIME) - endings.count(GOAL)
 
     def mean(total: float) -> float | None:
         return total / count if count else None

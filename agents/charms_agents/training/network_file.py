@@ -23,8 +23,7 @@ from charms_bench.plugins.onnx_ports import MASK_INPUT, NOISE_INPUT
 from charms_bench.world.action_mask import masks_of
 from charms_bench.world.action_texts import metadata_of
 from charms_bench.world.actions import ActionsLike, meta_actions_of, outputs_of
-from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.observations import ACTION_MASK, Neighbours, described, neighbours
+from charms_bench.world.observations import ACTION_MASK, NamedObservation, described, neighbours
 from charms_bench.world.scene import Observations
 
 OPSET, IR_VERSION = 17, 8
@@ -99,7 +98,7 @@ def export(
     path: Path,
     facts: dict[str, str],
     observations: Observations,
-    observation: Neighbours | Kinematics = neighbours,
+    observation: NamedObservation = neighbours,
     masked: bool = False,
     lstm: LSTM | None = None,
     stochastic: bool = False,

@@ -10,7 +10,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
-from charms_bench.world.observations import Neighbours
+from charms_bench.world.observations import NamedObservation
 from charms_bench.world.scene import Observations, SceneSettings
 
 EPISODES = 1_500
@@ -23,7 +23,7 @@ def own_driving(
     places: Sequence[tuple[SceneSettings, Traffic]],
     drivers: Mapping[str, Agent],
     first_seed: int,
-    observation: Neighbours,
+    observation: NamedObservation,
     meta_actions: tuple[MetaAction, ...] = DEFAULT_ACTIONS,
 ) -> Observations:
     """(M, rows, columns) the observations at all decisions of `EPISODES` episodes.

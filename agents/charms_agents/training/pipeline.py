@@ -27,6 +27,7 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import is_network, make_agent
 from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
+from charms_bench.world.observations import Neighbours
 
 
 def run(
@@ -98,6 +99,7 @@ def _sample_store(
             raise InputError(f"--recordings: no folder '{folder}'; {what}")
         what = f"no folder '{folder}'; name one in highD's format with --recordings"
         raise Document(suite_file).error(("human", "recordings"), what)
+    assert isinstance(suite.observed, Neighbours)
     seen = suite.observed, suite.interface
     store = SampleStore(folder, output / "samples", suite.human.samples, *seen)
     store.fingerprint  # noqa: B018  # names unusable recordings before the run folder is made

@@ -22,6 +22,7 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.files import json_of, read_limited
 from charms_bench.world.action_texts import actions_described
 from charms_bench.world.actions import MetaAction
+from charms_bench.world.interaction_observation import Interaction
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import (
     OBSERVATIONS,
@@ -207,7 +208,10 @@ def _stated(where: Mapping[str, Any]) -> tuple[Neighbours | Kinematics | None, f
         speeds = json_of(str(where.get("action", "{}")).encode()).get("target_speeds")
         if speeds not in (None, _TARGET_SPEEDS_MPS):
             raise Refusal(f"was trained with the target speeds {speeds} m/s, which suites lack")
-        return observation_described(str(where["observation"])), float(where["decision_hz"])
+        observation, hz = observation_described(str(where["observation"])), where["decision_hz"]
+        if isinstance(observation, Interaction):
+            raise Refusal("observes interaction, of which only trainings of suites are exported")
+        return observation, float(hz)
     except (InputError, LookupError, ValueError, TypeError, AttributeError) as error:
         raise Refusal(f"was trained on an observation that no agent receives: {error}") from error
 

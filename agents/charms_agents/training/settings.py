@@ -16,10 +16,12 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.fields import FilePath, FrozenModel, Line, Positive
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
+from charms_bench.runs.suite_roads import RoadEntry
 from charms_bench.world.action_texts import MetaActionsField
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction, with_speed_steps
+from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.moments import RecordedScene
-from charms_bench.world.observations import Neighbours, named_observation
+from charms_bench.world.observations import NamedObservation, named_observation
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import ProfileLike, SceneSettings
 
@@ -47,19 +49,39 @@ class Condition(FrozenModel):
     profile: ProfileLike | None = None
     traffic: TrafficSpec | None = None
     """A scenario's `points` are `random`, because trainings have other seeds than evaluations."""
+    roads: Annotated[tuple[RoadEntry, ...], Field(strict=False, max_length=100)] | None = None
+    """Roads as in the suite of an evaluation; the condition counts once for each of them."""
 
     @model_validator(mode="after")
     def _points_are_drawn(self) -> "Condition":
         scenario = self.traffic and self.traffic.scenario
         if scenario and scenario.points != "random":
             raise ValueError("traffic.scenario.points: expected random, for episodes of a training")
+        if scenario and self.roads:
+            raise ValueError("a scenario places vehicles on the straight road; remove the roads")
         return self
 
+    @property
+    def by_road(self) -> tuple["Condition", ...]:
+        """The condition of each road; itself on the straight road."""
+        return tuple(self.model_copy(update={"roads": (road,)}) for road in self.roads or ()) or (
+            self,
+        )
+
     def applied(self, scene: SceneSettings) -> SceneSettings:
-        """The scene of these episodes, without a scenario."""
+        """The scene of these episodes, without a scenario, on the first of the roads.
+
+        Raises:
+            InputError: The road does not exist, or its configuration is wrong.
+        """
         names = {"lanes", "density", "duration_s", "profile"}
         changes = self.model_dump(include=names, exclude_none=True)
-        return SceneSettings.model_validate({**scene.model_dump(), **changes})
+        found = SceneSettings.model_validate({**scene.model_dump(), **changes})
+        for road in (self.roads or ())[:1]:
+            from charms_bench.roads.settings import on_road  # slow to import
+
+            return on_road(found, road.road, road.duration_s)
+        return found
 
 
 class Stage(FrozenModel):
@@ -145,8 +167,10 @@ def _learnt(observation: str | dict[str, Any]) -> str | dict[str, Any]:
         found = named_observation(observation)
     except InputError as error:
         raise ValueError(str(error)) from error
-    if not isinstance(found, Neighbours) or found.action_mask:
-        raise ValueError("expected neighbours or paper_neighbours, without an action mask")
+    if isinstance(found, Kinematics) or getattr(found, "action_mask", False):
+        raise ValueError(
+            "expected neighbours or paper_neighbours, without an action mask, or interaction"
+        )
     return observation
 
 
@@ -161,7 +185,7 @@ class TrainingSuite(FrozenModel):
     of a seed need only stages of the same seed."""
     observation: Annotated[str | dict[str, Any], AfterValidator(_learnt)] = "neighbours"
     """What the networks observe: `paper_neighbours`, as in the paper, or `neighbours`, each with
-    the option `commands`."""
+    the option `commands`; or `interaction`, on all roads."""
     actions: MetaActionsField = DEFAULT_ACTIONS
     """The meta-actions of all networks: names of highway-env's, and objects with a `name` and what
     the action does, such as `{name: BRAKE, speed_from_present_mps: -6.0}`; see
@@ -209,11 +233,9 @@ class TrainingSuite(FrozenModel):
         return Interface(self.actions, first.scene)
 
     @property
-    def observed(self) -> Neighbours:
+    def observed(self) -> NamedObservation:
         """The observation that `observation` describes."""
-        found = named_observation(self.observation)
-        assert isinstance(found, Neighbours)
-        return found
+        return named_observation(self.observation)
 
     @property
     def first_episode_seed(self) -> int:
@@ -261,8 +283,8 @@ class TrainingSuite(FrozenModel):
 
     def conditions_of(self, stage: Stage | SimulatedDrivers) -> tuple[Condition, ...]:
         """What differs between the episodes in which a stage learns."""
-        found = tuple(each for name in stage.conditions for each in self.conditions[name])
-        return found or (Condition(),)
+        named = (each for name in stage.conditions for each in self.conditions[name])
+        return tuple(road for each in named for road in each.by_road) or (Condition(),)
 
     def places_of(self, stage: Stage | SimulatedDrivers) -> list[tuple[SceneSettings, Traffic]]:
         """The scenes and traffics in which a stage learns; see `traffic_of`."""

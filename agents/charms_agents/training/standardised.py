@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import Linear, Sequential
 
+from charms_bench.world.interaction_observation import FIRST_CONFLICT, FIRST_NEIGHBOUR
 from charms_bench.world.observations import (
     CHANGE_SCALE,
     COMMANDS,
@@ -47,12 +48,27 @@ def _units() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 FACTORS, OFFSETS = (torch.from_numpy(array) for array in _units())
+_OF_EGO = 2.0, 3.0, 1.0, 3.0, 1.0, 4.0, 3.0, 2.0
+_OF_WAY = 1.0, 1.0, 3.0, 2.0, 2.0, 3.0, 3.0, 3.0
+_OF_NEIGHBOURS = 1.0, 3.0, 3.0, 2.0, 2.0, 2.0, 2.0, 2.0
+_OF_CONFLICTS = 1.0, 3.0, 3.0, 3.0, 3.0, 1.0, 1.0, 3.0
+"""Factors of the rows of `interaction`, whose numbers are of order 1 before."""
+
+
+def _factors(inputs: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Factors and offsets of so many numbers of an observation."""
+    if inputs <= ROWS * COLUMNS:
+        return FACTORS[:inputs], OFFSETS[:inputs]
+    conflicts = inputs // len(_OF_EGO) - FIRST_CONFLICT
+    neighbours = FIRST_CONFLICT - FIRST_NEIGHBOUR
+    factors = (*_OF_EGO, *_OF_WAY, *_OF_NEIGHBOURS * neighbours, *_OF_CONFLICTS * conflicts)
+    return torch.tensor(factors), torch.zeros(inputs)
 
 
 def standardise(observations: torch.Tensor) -> torch.Tensor:
-    """Observations (..., 35) or, with commands, (..., 40), standardised."""
-    inputs = observations.shape[-1]
-    return observations * FACTORS[:inputs] + OFFSETS[:inputs]
+    """Observations (..., 35) or, with commands, (..., 40), or those of junctions, standardised."""
+    factors, offsets = _factors(observations.shape[-1])
+    return observations * factors + offsets
 
 
 def folded(network: Sequential) -> Sequential:
@@ -60,7 +76,7 @@ def folded(network: Sequential) -> Sequential:
     result = deepcopy(network)
     first = result[0]
     assert isinstance(first, Linear)
-    factors, offsets = FACTORS[: first.in_features], OFFSETS[: first.in_features]
+    factors, offsets = _factors(first.in_features)
     with torch.no_grad():
         first.bias.add_(first.weight @ offsets)
         first.weight.mul_(factors)
@@ -75,7 +91,7 @@ def unfolded(network: Sequential) -> Sequential:
     result = deepcopy(network)
     first = result[0]
     assert isinstance(first, Linear)
-    factors, offsets = FACTORS[: first.in_features], OFFSETS[: first.in_features]
+    factors, offsets = _factors(first.in_features)
     with torch.no_grad():
         first.weight.copy_(torch.where(factors == 0, 0, first.weight / factors))
         first.bias.sub_(first.weight @ offsets)

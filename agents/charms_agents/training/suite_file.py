@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from charms_agents.human.interface import DECISION_HZ, SIMULATION_HZ
-from charms_agents.training.settings import Condition, TrainingSuite
+from charms_agents.training.settings import Condition, Stage, TrainingSuite
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.runs.document import Document, Location
 from charms_bench.runs.suite import check_placement
+from charms_bench.world.observations import Neighbours
+from charms_bench.world.scene import SceneSettings
 
 PLACED = 1_000
 """Points of a scenario that are tried before a network learns in it."""
@@ -74,6 +76,9 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         if human.fine_tunes is not None:
             key, under = (*place, "fine_tunes"), " under stages"
             _check_name(document, key, "stage", human.fine_tunes, suite.stages, under)
+        if human.drivers == "recorded" and not isinstance(suite.observed, Neighbours):
+            what = "recorded drivers are observed as neighbours or paper_neighbours"
+            raise document.error(("observation",), f"{what}; found {suite.observed.name}")
         if human.drivers == "simulated":
             _check_simulated(document, suite, name)
     try:
@@ -107,7 +112,10 @@ def _check_conditions(
         for index, condition in enumerate(suite.conditions[each])
     ]
     for at, condition in named or [(("stages", name), Condition())]:
-        traffic, scene = condition.traffic or stage.traffic, condition.applied(stage.scene)
+        traffic, scene = (
+            condition.traffic or stage.traffic,
+            _applied(document, at, condition, stage),
+        )
         steps, expected = (each.profile.target_speed_steps_mps for each in (scene, stage.scene))
         if steps != expected:
             what = f"{[*steps]}; expected those of the stage '{name}', {[*expected]}"
@@ -123,6 +131,17 @@ def _check_conditions(
             check_placement(
                 document, (*at, "traffic", "scenario"), traffic.scenario, scene, numbers
             )
+
+
+def _applied(document: Document, at: Location, condition: Condition, stage: Stage) -> SceneSettings:
+    """The scene of a condition on the last of its roads; refuses roads that cannot be had."""
+    scene = stage.scene
+    for index, each in enumerate(condition.by_road):
+        try:
+            scene = each.applied(stage.scene)
+        except InputError as error:
+            raise document.error((*at, "roads", index), str(error)) from error
+    return scene
 
 
 def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:

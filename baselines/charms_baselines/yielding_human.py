@@ -1,0 +1,66 @@
+"""Calibrated drivers who also give way where ways cross and merge, by gap acceptance.
+
+Populations are calibrated on motorways, where nobody gives way. Where the observation `interaction`
+says that a vehicle has the right of way, or does not say who has it, this driver looks at when that
+vehicle arrives at the conflict point. The driver
+
+1. accepts the gap if the vehicle arrives there later than the critical headway after the driver has
+   reached the stop line, or has passed before. The critical headways are those of the Highway
+   Capacity Manual (6th edition, 2016): 6.5 s to cross (chapter 20, through traffic of the minor
+   street under two-way stop control), and 4.98 s to merge (chapter 22, the entry of a roundabout
+   with one lane);
+2. otherwise approaches the stop line as a standing leader, with the driver's own IDM;
+3. does not stop beyond the line any more;
+4. if nothing says who has the right of way, gives way to the vehicle that arrives first;
+5. whoever has the right of way, does not drive into a conflict point in which a vehicle is.
+
+The stop line is `STOP_M` before the conflict point, so that neither vehicle is in the other's lane.
+"""
+
+import numpy as np
+
+from charms_baselines.human import Human
+from charms_bench.foundation.arrays import Floats
+from charms_bench.world.interaction_observation import (
+    CLEAR_M,
+    EGO,
+    FIRST_CONFLICT,
+    RANGE_M,
+    SLOWEST_MPS,
+    SPEED_MPS,
+    Interaction,
+)
+from charms_bench.world.scene import Scene, Vehicles
+
+CROSSING_S, MERGING_S = 6.5, 4.98
+"""Critical headways."""
+STOP_M = 4.0
+"""From the front of a waiting vehicle to the conflict point: half a lane and 2 m."""
+COMMITTED_M = 1.0
+"""A driver whose front is so close to the stop line does not stop there any more."""
+_SEEN = Interaction(conflicts=10)
+
+
+class YieldingHuman(Human):
+    """`human`, who gives way at junctions by gap acceptance; see the module."""
+
+    def stops(self, scene: Scene, vehicles: Vehicles) -> Floats:
+        """The gaps (M,) from M vehicles to the first stop line before which they wait, m."""
+        none = super().stops(scene, vehicles)
+        if scene.junctions is None:
+            return none
+        seen = _SEEN(scene, vehicles).astype(np.float64)
+        rows = seen[:, FIRST_CONFLICT:]
+        is_there, own, other, speed, _, is_crossing, right, _ = np.moveaxis(rows, 2, 0)
+        own, other, speed = own * RANGE_M, other * RANGE_M, speed * SPEED_MPS
+        line = own - scene.length[vehicles][:, None] / 2 - STOP_M
+        own_speed = np.maximum(seen[:, EGO, 0] * SPEED_MPS, SLOWEST_MPS)[:, None]
+        at_line = np.maximum(line, 0.0) / own_speed
+        arrives = other / np.maximum(speed, SLOWEST_MPS)
+        leaves = (other + CLEAR_M) / np.maximum(speed, SLOWEST_MPS)
+        critical = np.where(is_crossing > 0, CROSSING_S, MERGING_S)
+        is_second = (right < 0) | ((right == 0) & (arrives < own / own_speed))
+        is_close = (arrives < at_line + critical) & (leaves > at_line)
+        is_inside = (is_crossing > 0) & (np.abs(other) <= CLEAR_M) & (leaves > at_line)
+        waits = (is_there > 0) & (line > -COMMITTED_M) & ((is_second & is_close) | is_inside)
+        return np.asarray(np.where(waits, np.maximum(line, 0.1), none[:, None]).min(axis=1))

@@ -1,0 +1,150 @@
+"""Training suites with roads: their conditions, the goal in the reward, and how they continue."""
+
+# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+
+from charms_agents.human.simulated import simulated_samples
+from charms_agents.training.completed_reward import CompletedReward, RewardScales
+from charms_agents.training.network import untrained
+from charms_agents.training.reinforcement import Reinforcement
+from charms_agents.training.rewards import Weights
+from charms_agents.training.settings import TrainingSuite
+from charms_agents.training.standardised import folded, standardise, unfolded
+from charms_agents.training.suite_file import load_training
+from handmade_scene import simulation_of
+
+from charms_bench.engine.endings import GOAL
+from charms_bench.errors import SuiteError
+from charms_bench.plugins.registry import make_agent
+from charms_bench.world.actions import IDLE
+
+SUITE = """
+pipeline: charms
+observation: interaction
+hyperparameters:
+  {hidden_layers: [16], scenes: 12, steps_per_gradient_step: 6, learning_starts: 12, batch_size: 16,
+   replay_buffer: 2400, target_update_steps: 12}
+curve_steps: 120
+weights: {plain: {safety: 1.0, efficiency: 1.0, comfort: 0.0}}
+conditions:
+  straight: [{lanes: 2, duration_s: 3.0}]
+  roads: [{traffic: environment, roads: [{name: roundabout-v1, duration_s: 4.0}, ROAD]}]
+stages:
+  level_1:
+    steps: 480
+    weights: plain
+    svo: egoistic
+    reward: {goal_reward: 50.0}
+    scene: {profile: {name: charms, speed_min_mps: 0.0, target_speed_min_mps: 0.0}}
+    traffic: idm_mobil
+    conditions: [straight, roads]
+"""
+
+
+def suite_with(road: str, folder: Path) -> Path:
+    file = folder / "train.yaml"
+    file.write_text(SUITE.replace("ROAD", road))
+    return file
+
+
+def learner_of(suite: TrainingSuite) -> Reinforcement:
+    stage = suite.stages["level_1"]
+    drivers = {name: make_agent(name) for name in suite.drivers_of(stage)}
+    return Reinforcement(suite, stage, drivers, None)
+
+
+def test_a_training_on_roads_continues_with_the_same_bits(tmp_path: Path) -> None:
+    suite = load_training(suite_with("intersection-v1", tmp_path))
+    places = suite.places_of(suite.stages["level_1"])
+    named = [str(scene.network) for scene, _ in places]
+    assert named == ["None", "roundabout-v1", "intersection-v1"]
+    assert [scene.duration_s for scene, _ in places] == [3.0, 4.0, 20.0]
+    whole, first, second = (learner_of(suite) for _ in range(3))
+    for _ in range(30):
+        first._agent.step()
+    second.load_arrays(first.arrays())
+    for learner in (whole, second):
+        learner.learn(lambda: None)
+    for ours, theirs in zip(whole.network.parameters(), second.network.parameters(), strict=True):
+        np.testing.assert_array_equal(ours.detach().numpy(), theirs.detach().numpy())
+    np.testing.assert_array_equal(whole.observations, second.observations)
+    assert (whole.observations[:, 0, 0] > 0).any()
+
+
+@pytest.mark.parametrize(
+    ("road", "what"),
+    [
+        ("motorway-v9", "conditions.roads[0].roads[1]: no road named 'motorway-v9'"),
+        ("{name: merge-v1, configuration: {duration: 9}}", "configuration.duration"),
+    ],
+)
+def test_a_road_that_cannot_be_had_is_named_with_its_place(
+    road: str, what: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SuiteError) as error:
+        load_training(suite_with(road, tmp_path))
+    assert what in str(error.value)
+
+
+def test_the_goal_earns_its_reward_once_and_for_the_ego_itself() -> None:
+    simulation = simulation_of((500.0, 1, 30.0))
+    angle = np.pi / 3
+    reward = CompletedReward(
+        Weights(safety=1.0, efficiency=0.0, comfort=0.0), angle, RewardScales(goal_reward=50.0)
+    )
+    rewards = []
+    for ending in (0, GOAL):
+        prepared = reward.prepare(simulation, np.array([IDLE]))
+        simulation.ending[:] = ending
+        rewards.append(float(reward(simulation, prepared)[0]))
+    # Alone, the ego is safe: 1, of which cos 60 degrees counts, as of the goal.
+    assert rewards == pytest.approx([0.5, 0.5 + 25.0])
+
+
+def test_a_folded_network_takes_plain_observations_of_junctions() -> None:
+    network, seen = untrained((8,), 0, 14 * 8, 6), torch.rand(5, 14 * 8) * 2 - 1
+    expected = network(standardise(seen))
+    plain = folded(network)
+    torch.testing.assert_close(plain(seen), expected)
+    torch.testing.assert_close(unfolded(plain)(standardise(seen)), expected)
+
+
+def test_drivers_on_roads_are_imitated(tmp_path: Path) -> None:
+    file = suite_with("merge-v1", tmp_path)
+    human = """
+human:
+  recordings: none
+  simulated:
+    agents: [idm_mobil]
+    scene: {profile: {name: charms, speed_min_mps: 0.0, target_speed_min_mps: 0.0}}
+    traffic: idm_mobil
+    conditions: [roads]
+    episodes: 10
+  stages: {people: {drivers: simulated}}
+"""
+    file.write_text(file.read_text() + human)
+    suite = load_training(file)
+    assert suite.human is not None
+    simulated = suite.human.simulated
+    assert simulated is not None
+    samples = simulated_samples(
+        [each.make({}) for each in simulated.agents],
+        suite.places_of(simulated),
+        {name: make_agent(name) for name in suite.drivers_of(simulated)},
+        simulated.episodes,
+        suite.first_simulated_seed,
+        suite.observed,
+        suite.actions,
+    )
+    # Vehicles come from the ramp of the merge and from the other entries of the roundabout.
+    assert samples.observations[:, 8, 0].any()
+    assert (np.abs(samples.observations) <= 1).all()
+    speeds = samples.observations[:, 0, 0] * 33
+    # Drivers are slow at the roundabout and start at 30 m/s before the merge.
+    assert speeds.min() < 10 < 20 < speeds.max()
