@@ -80,7 +80,5 @@ def test_rewards_of_ones_own_are_those_of_each_agent() -> None:
     assert many.step((np.array([1]), np.array([2])))[1][0] == np.mean(expected)
     wrong = RoadEnv(AGENTS, reward=lambda vehicles, terms: vehicles["speed"][:, 0])
     wrong.reset(seed=0)
-    with pytest.raises(
-        InputError, match=r"found the shape \(1,\); expected \(1, 2\), one"
-    ):
+    with pytest.raises(InputError, match=r"found the shape \(1,\); expected \(1, 2\), one"):
         wrong.step((1, 1))
