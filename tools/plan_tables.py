@@ -70,6 +70,8 @@ SCENARIOS: Columns = {
 HAZARDS = {name: SCENARIOS[name] for name in ("crashed", "at_fault", "idm_mobil")}
 SCORES = ("closed_loop", "given_scene", "events", "total")
 """Of likeness; the total is the lowest of the others."""
+KEPT = {"trainings", "curves"}
+"""The values that pages link to."""
 CURVE_BYTES = 125_000
 CURVE = ("steps", "return_mean", "crashed_share", "epoch", "log_likelihood", "agreement")
 """The columns of learning curves that are kept: of reinforcement, and of learning from humans."""
@@ -315,7 +317,7 @@ def main() -> None:
 
 
 def write_tables(networks: Path, runs: Path, output: Path, names: Sequence[str]) -> None:
-    """Writes tables and the values that they are made of, and prints what is left out and why."""
+    """Writes tables, and prints what is left out and why."""
     output.mkdir(parents=True, exist_ok=True)
     needed = dict.fromkeys(frame for name in names for frame in TABLES[name][0])
     frames = trainings(networks) if "trainings" in needed else {}
@@ -327,9 +329,9 @@ def write_tables(networks: Path, runs: Path, output: Path, names: Sequence[str])
             frames[frame] = values
     if "criteria" in names:
         frames["criteria"] = judged(frames)
-    for frame, values in frames.items():
-        kept = thinned(values) if frame == "curves" else values
-        kept.write_csv(output / ("plan.csv" if frame == "driving" else f"plan-{frame}.csv"))
+    for frame in KEPT & frames.keys():
+        kept = thinned(frames[frame]) if frame == "curves" else frames[frame]
+        kept.write_csv(output / f"plan-{frame}.csv")
     for test, why in missing.items():
         print(f"{test}: left out: {why}")
     for name in names:

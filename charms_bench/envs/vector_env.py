@@ -21,7 +21,7 @@ from charms_bench.envs.seeds import checked_seed, seeds_of
 from charms_bench.envs.single_env import restore_option
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
-from charms_bench.foundation.arrays import Bools, Floats
+from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.observations import Observation, neighbours
@@ -67,6 +67,7 @@ class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.autoreset_mode = self._autoreset.mode
         """As the attribute of Gymnasium's own vector environments, which TorchRL reads."""
         self.num_envs = episodes.environments
+        self._every = np.ones(self.num_envs, dtype=np.bool_)
         self.single_observation_space, self.single_action_space = episodes.spaces
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -117,9 +118,8 @@ class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         else:
             restore_option(episodes, state)
         self._renderer.show(episodes.frame)
-        starts = np.zeros(self.num_envs, dtype=np.bool_)
-        starts[episodes.of_scenes(rows)] = True
-        return episodes.observe(), masked(episodes.first(), starts) | self._always()
+        infos = masked(episodes.first(), self._starting(rows))
+        return episodes.observe(), infos | masked(episodes.always(), self._every)
 
     def step(self, actions: Any) -> tuple[Any, Floats, Bools, Bools, dict[str, Any]]:
         """Carries out the actions (N, ...) until the next decision.
@@ -142,15 +142,34 @@ class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         due = self._autoreset.before_step()
         observations, rewards, terminated, truncated = episodes.decide(actions, due)
         self._renderer.show(episodes.frame)
-        known = np.ones(self.num_envs, dtype=np.bool_)
+        known = self._every
         if due.size:
-            waited, rewards = episodes.of_scenes(due), rewards.copy()
+            waited, rewards, known = episodes.of_scenes(due), rewards.copy(), known.copy()
             rewards[waited], terminated[waited], truncated[waited] = 0.0, False, False
             known[waited] = False
         ended = terminated | truncated
-        facts, has_ended = episodes.facts(known), bool(ended.any())
-        final = episodes.final(ended) if has_ended else {}
-        if has_ended and self.autoreset_mode == AutoresetMode.SAME_STEP:
+        facts = episodes.facts(known)
+        infos = masked(facts, known)
+        if due.size or ended.any():
+            infos = self._restarted(observations, ended, due, facts, infos)
+        if always := episodes.always():
+            infos |= masked(always, self._every)
+        return observations, rewards, terminated, truncated, infos
+
+    def _restarted(
+        self,
+        observations: Any,
+        ended: Bools,
+        due: Ints,
+        facts: dict[str, Any],
+        infos: dict[str, Any],
+    ) -> dict[str, Any]:
+        """Starts the next episodes of the scenes `due` and of those that are over; returns infos.
+
+        Puts their first observations among `observations`.
+        """
+        episodes, final = self._episodes, self._episodes.final(ended)
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
             final_obs = np.full(ended.size, None, dtype=object)
             for row in np.flatnonzero(ended):
                 final_obs[row] = row_of(observations, row)
@@ -161,18 +180,20 @@ class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         over = episodes.over(ended)
         over[due] = False
         starting = np.concatenate([due, self._autoreset.after_step(over)])
-        infos = masked(facts, known)
         if starting.size:
-            starts = np.zeros(self.num_envs, dtype=np.bool_)
-            starts[episodes.of_scenes(starting)] = True
             episodes.start(starting, self._counted([None] * starting.size))
             episodes.begin(observations, starting)
-            infos = masked(facts, known & ~starts)
+            starts = self._starting(starting)
+            infos = masked(facts, ~starts)
             for name, values in episodes.first().items():
-                before = infos.get(f"_{name}", False)
-                infos |= {name: values, f"_{name}": starts | before}
-        infos |= masked(final, ended) | self._always()
-        return observations, rewards, terminated, truncated, infos
+                infos |= {name: values, f"_{name}": starts | infos.get(f"_{name}", False)}
+        return infos | (masked(final, ended) if ended.any() else {})
+
+    def _starting(self, rows: Ints) -> Bools:
+        """(N,) the environments of scenes."""
+        found = np.zeros(self.num_envs, dtype=np.bool_)
+        found[self._episodes.of_scenes(rows)] = True
+        return found
 
     def action_masks(self) -> Bools:
         """The action masks (N, A), as sb3-contrib's `MaskablePPO` asks for them.
@@ -224,10 +245,6 @@ class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._next_seed += count
         left = iter(range(first, first + count))
         return [next(left) if own is None else own for own in given]
-
-    def _always(self) -> dict[str, Any]:
-        every = np.ones(self.num_envs, dtype=np.bool_)
-        return masked(self._episodes.always(), every)
 
 
 class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):

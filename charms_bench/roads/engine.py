@@ -26,6 +26,7 @@ from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.shown import Shown
 from charms_bench.engine.state import ARRAYS
 from charms_bench.engine.stepping import BeforeMove
+from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import seeded, with_draws

@@ -96,8 +96,8 @@ def test_every_example_of_a_suite_is_valid(page: Path, tmp_path: Path) -> None:
 
 def test_every_page_is_two_clicks_from_the_readme() -> None:
     readme, start = (ROOT / name for name in ("README.md", "docs/index.md"))
-    linked = re.findall(r"\]\(docs/([a-z-]+\.md)", readme.read_text(encoding="utf-8"))
-    linked += re.findall(r"\]\(([a-z-]+\.md)", start.read_text(encoding="utf-8"))
+    linked = re.findall(r"\]\(docs/([a-z0-9.-]+\.md)", readme.read_text(encoding="utf-8"))
+    linked += re.findall(r"\]\(([a-z0-9.-]+\.md)", start.read_text(encoding="utf-8"))
     assert {page.name for page in (ROOT / "docs").glob("*.md")} <= set(linked)
 
 

@@ -316,7 +316,7 @@ def test_a_run_becomes_tables_with_its_metrics_and_what_is_missing_is_named(
     tools.tables.write_tables(tmp_path, tmp_path, tmp_path / "out", ["main", "pch", "criteria"])
     stored = stored_tables(tmp_path / "main", RunFolder(tmp_path / "main").suite()).metrics.frame()
     expected = stored.filter(metric="conflicts_by_per_1000km")["value"].to_list()
-    values = pl.read_csv(tmp_path / "out" / "plan.csv")
+    values = tools.tables.values_of(tmp_path, "driving", {})
     assert values["conflicts_by_per_1000km"].to_list() == pytest.approx(expected, rel=1e-5)
     assert values["seed"].to_list() == [None, 3010, 3011]
     criteria = (tmp_path / "out" / "plan-criteria.md").read_text(encoding="utf-8")

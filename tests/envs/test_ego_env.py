@@ -418,11 +418,8 @@ def test_without_any_control_there_is_no_environment() -> None:
         EgoEnv(longitudinal=False, lateral=False)
 
 
-def test_before_the_first_reset_and_after_the_end_there_is_nothing_to_step() -> None:
+def test_after_the_end_there_is_nothing_to_step() -> None:
     env = EgoEnv(duration_s=1.0, render_mode="rgb_array", traffic_vehicles=8)
-    for early in (lambda: env.step(IDLE), env.render, env.action_masks):
-        with pytest.raises(ResetNeeded, match="before the first reset"):
-            early()
     env.reset(seed=0)
     for _ in range(3):
         env.step(IDLE)

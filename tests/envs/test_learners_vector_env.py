@@ -4,9 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from charms_bench.engine.endings import REAR_END, TIME
 from charms_bench.engine.neighbours import locate
@@ -110,23 +108,6 @@ def test_a_scene_without_learners_is_replaced_by_the_next_within_the_step() -> N
     assert infos["final_info"]["seed"].tolist() == [0, 0, 0, 0]
 
 
-def test_three_meta_actions_mean_the_same() -> None:
-    three = LearnersVectorEnv(1, (0, 3), longitudinal=False, **SMALL)
-    five = LearnersVectorEnv(1, (0, 3), **SMALL)
-    for env in (three, five):
-        env.reset(seed=1)
-    for action in (LANE_LEFT, IDLE, LANE_RIGHT):
-        found = three.step([action, action])
-        np.testing.assert_array_equal(found[0], five.step([action, action])[0])
-        assert found[4]["action_mask"].shape == (2, 3)
-
-
-def test_a_step_needs_a_reset_before_it() -> None:
-    env = LearnersVectorEnv(1, **SMALL)
-    with pytest.raises(ResetNeeded):
-        env.step(np.full(5, IDLE))
-
-
 def test_actions_of_learners_that_have_left_have_no_effect() -> None:
     found = []
     for action in range(len(ACTIONS)):
@@ -160,20 +141,6 @@ def test_without_a_seed_scenes_are_not_those_that_suites_evaluate_on() -> None:
         drawn |= {*env.simulation.seeds.tolist()}
     assert len(drawn) == 4
     assert min(drawn) >= EVALUATION_SEEDS
-
-
-def test_gymnasiums_own_wrapper_counts_the_same_returns() -> None:
-    env = LearnersVectorEnv(3, density=2.0, traffic_vehicles=9)
-    wrapped = RecordEpisodeStatistics(env)
-    wrapped.reset(seed=1)
-    rng, counted = np.random.default_rng(0), []
-    for _ in range(120):
-        *_, infos = wrapped.step(rng.integers(len(ACTIONS), size=env.num_envs))
-        for row in np.nonzero(infos.get("_final_info", []))[0]:
-            own = infos["final_info"]["episode_return"][row]
-            counted.append((own, infos["episode"]["r"][row]))
-    assert len(counted) >= 50
-    np.testing.assert_allclose(*np.transpose(counted))
 
 
 def test_highway_envs_observation_can_be_chosen() -> None:

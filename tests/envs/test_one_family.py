@@ -1,11 +1,14 @@
 """States, seeds and rewards are the same question in every kind of environment."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 
+from charms_bench.envs.ego_env import EgoEnv, ego_vector_env
 from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.envs.road_env import RoadEnv, RoadVectorEnv
 from charms_bench.errors import InputError
@@ -21,10 +24,17 @@ def parallel(kind: str, *given: Any, **others: Any) -> Any:
     return {**vars(parallel_env), **vars(road_parallel_env)}[kind](*given, **others)
 
 
-KINDS: dict[str, Callable[[], Any]] = {
-    "learners": lambda: LearnersVectorEnv(2, (0, 2, 3), **SCENE),
-    "parallel": lambda: parallel("HighwayParallelEnv", **SCENE),
-    "parallel on a road": lambda: parallel("RoadParallelEnv", AGENTS),
+MANY: dict[str, Callable[..., Any]] = {
+    "learners": lambda **how: LearnersVectorEnv(2, (0, 2, 3), **SCENE, **how),
+    "parallel": lambda **how: parallel("HighwayParallelEnv", **SCENE, **how),
+    "parallel on a road": lambda **how: parallel("RoadParallelEnv", AGENTS, **how),
+}
+KINDS: dict[str, Callable[..., Any]] = {
+    **MANY,
+    "Ego-v0": EgoEnv,
+    "vector of Ego-v0": partial(ego_vector_env, 2),
+    "road": partial(RoadEnv, "merge-v1"),
+    "vector of roads": partial(RoadVectorEnv, 2, "merge-v1"),
 }
 
 
@@ -35,14 +45,32 @@ def step(env: Any, rng: np.random.Generator) -> Any:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_there_is_nothing_before_the_first_reset(kind: str) -> None:
+    env = KINDS[kind](render_mode="rgb_array")
+    early = [lambda: env.step(1), env.render, getattr(env, "action_masks", env.render)]
+    for ask in early:
+        with pytest.raises(ResetNeeded, match="before the first reset"):
+            ask()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_mode_and_a_seed_that_there_are_not_are_rejected(kind: str) -> None:
+    with pytest.raises(InputError, match=": no render_mode 'ansi'; expected 'rgb_array' or"):
+        KINDS[kind](render_mode="ansi")
+    env = KINDS[kind]()
+    for seed in (-1, 2**64, 1.5, True, "3"):
+        with pytest.raises(InputError, match="expected an integer"):
+            env.reset(seed=seed)
+
+
+@pytest.mark.parametrize("kind", MANY)
 def test_episodes_of_many_learners_continue_from_a_saved_state(kind: str) -> None:
-    env, other = KINDS[kind](), KINDS[kind]()
+    env, other = MANY[kind](), MANY[kind]()
     env.reset(seed=4)
     for k in range(6):
         last = step(env, np.random.default_rng(k))
     state = env.get_state()
     expected = [step(env, np.random.default_rng(k)) for k in range(4)]
-    other.reset(seed=9)
     seen = other.set_state(state)
     going = getattr(other, "agents", slice(None))
     kept = {agent: last[0][agent] for agent in going} if isinstance(going, list) else last[0]

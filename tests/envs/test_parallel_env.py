@@ -6,19 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 from pettingzoo.utils import parallel_to_aec
 
 from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.neighbours import locate
 from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.envs.parallel_env import HighwayParallelEnv
-from charms_bench.envs.road_parallel_env import RoadParallelEnv
 from charms_bench.errors import InputError
 from charms_bench.world.actions import FASTER, IDLE, SLOWER
 from charms_bench.world.observations import EGO
 from charms_bench.world.profile import PROFILES
-from charms_bench.world.scene import EVALUATION_SEEDS
 
 with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
     # Its first module imports a game of PettingZoo's in a way that PettingZoo has deprecated.
@@ -118,17 +115,6 @@ def test_a_name_means_the_same_vehicle_for_the_whole_episode(profile: str) -> No
             assert seen[EGO, 2] * 12 == pytest.approx(scene.y[0, places[agent]], abs=1e-5)
 
 
-def test_seeds_reproduce_and_without_one_the_next_episode_follows_from_the_last_seed() -> None:
-    env = HighwayParallelEnv(traffic_vehicles=5)
-    runs = []
-    for _ in range(2):
-        env.reset(seed=3)
-        runs.append([env.reset()[1]["vehicle_0"]["seed"] for _ in range(3)])
-    assert runs[0] == runs[1]
-    assert len({*runs[0]}) == 3
-    assert min(runs[0]) >= EVALUATION_SEEDS
-
-
 def test_pettingzoos_wrappers_take_it() -> None:
     env = parallel_to_aec(HighwayParallelEnv(traffic_vehicles=5, duration_s=2.0))
     env.reset(seed=1)
@@ -163,16 +149,3 @@ def test_three_meta_actions_mean_the_same() -> None:
         expected = five.step(dict.fromkeys(five.agents, np.int64(same)))
         np.testing.assert_equal(found[:4], expected[:4])
     assert found[4]["vehicle_0"]["action_mask"].tolist() == [1, 1, 1]
-
-
-def test_a_step_needs_a_reset_before_it() -> None:
-    for env in (HighwayParallelEnv(), RoadParallelEnv("intersection-multi-agent-v1")):
-        for early in ({}, {"vehicle_0": 1}):
-            with pytest.raises(ResetNeeded):
-                env.step(early)
-
-
-@pytest.mark.parametrize("seed", [-1, 2**64])
-def test_a_seed_that_no_episode_has_is_refused(seed: int) -> None:
-    with pytest.raises(InputError, match=f"seed {seed}; expected an integer from 0 to"):
-        HighwayParallelEnv().reset(seed=seed)

@@ -1,7 +1,6 @@
 """The environments of highway-env's other roads, alone and as vectors."""
 
 import copy
-import pickle
 from collections.abc import Iterator
 from typing import Any
 
@@ -367,11 +366,6 @@ def test_a_vector_environment_draws_every_scene() -> None:
     assert (first != second).any()
 
 
-def test_an_unknown_render_mode_is_rejected_by_name() -> None:
-    with pytest.raises(InputError, match="merge-v0: no render_mode 'ansi'; expected 'rgb_array'"):
-        RoadEnv("merge-v0", render_mode="ansi")
-
-
 def test_a_change_of_the_configuration_counts_from_the_next_reset_on() -> None:
     changed, given = ours("merge-v0"), ours("merge-v0", config={"policy_frequency": 3})
     changed.reset(seed=0)
@@ -449,24 +443,6 @@ def test_a_reward_of_ones_own_replaces_highway_envs() -> None:
         wrong.step(1)
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("name", ["merge-v1", "intersection-v1"])
-def test_a_copy_continues_like_its_original(name: str, copied: Any) -> None:
-    original = RoadEnv(name, render_mode="rgb_array")
-    original.reset(seed=3)
-    original.action_space.seed(0)
-    first, *actions = (original.action_space.sample() for _ in range(4))
-    original.step(first)
-    other = copied(original)
-    steps = [original.step(action) for action in actions]
-    picture = original.render()
-    for expected, action in zip(steps, actions, strict=True):
-        found = other.step(action)
-        assert np.array_equal(found[0], expected[0])
-        assert found[1:4] == expected[1:4]
-    assert np.array_equal(other.render(), picture)
-
-
 def test_a_rejected_configuration_leaves_the_environment_as_it_was() -> None:
     env = RoadEnv("highway-fast-v0")
     expected, _ = env.reset(seed=0)
@@ -509,15 +485,6 @@ def test_a_lane_may_be_counted_from_the_right_as_in_highway_env() -> None:
 def test_a_value_of_the_wrong_kind_is_rejected_by_name(config: Any, what: str) -> None:
     with pytest.raises(InputError, match=f"^highway-v0: {what}"):
         RoadEnv("highway-v0", config)
-
-
-@pytest.mark.parametrize("seed", [-1, 1.5, "a", 2**64])
-def test_a_seed_that_is_none_is_rejected(seed: Any) -> None:
-    one: Any = RoadEnv("merge-v1")
-    several: Any = gymnasium.make_vec("charms_bench/merge-v1", num_envs=2)
-    for env, given in ((one, seed), (several, [seed, 1])):
-        with pytest.raises(InputError, match="expected an integer from 0"):
-            env.reset(seed=given)
 
 
 def leaves(info: Any) -> Iterator[Any]:
@@ -569,13 +536,6 @@ def test_lists_and_tensors_are_actions() -> None:
         pair.step(as_given([1, 1]))
     with pytest.raises(InputError, match="expected those of several agents"):
         pair.step(1)
-
-
-def test_a_step_needs_a_reset_before_it() -> None:
-    several: Any = gymnasium.make_vec("charms_bench/merge-v1", num_envs=2)
-    for env, action in ((RoadEnv("merge-v1"), 1), (several, np.array([1, 1]))):
-        with pytest.raises(ResetNeeded):
-            env.step(action)
 
 
 def test_a_vehicle_of_the_moment_cannot_be_changed() -> None:

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
@@ -179,17 +178,6 @@ def test_gymnasiums_own_wrappers_count_the_same_returns() -> None:
             counted.append((own, infos[row]["episode"]["r"]))
     assert len(counted) >= 8
     np.testing.assert_allclose(*np.transpose(counted))
-
-
-def test_a_step_needs_a_reset_before_it() -> None:
-    env = environment(ALONE)
-    for early in (lambda: env.step(idle(env)), env.action_masks, env.render):
-        with pytest.raises(ResetNeeded):
-            early()
-    other = environment(ALONE)
-    other.reset()
-    env.set_state(other.get_state())
-    env.step(idle(env))
 
 
 @pytest.mark.parametrize("wrong", [[1, 1], [1.0] * 4, None, [[1], [1, 2]], [1, 1, 1, 5], "abcd"])
