@@ -1,4 +1,4 @@
-"""Scores the likeness of all agents for docs/likeness.md: `python tools/likeness_page.py DATA`.
+"""Scores the likeness of all agents for docs/likeness.md, for `write_results.py likeness DATA`.
 
 DATA is a folder that holds `i24_car_following.parquet` and `i75_lane_trajectories.parquet`. The
 tool writes the tables of the page to `docs/results` and into the page, and draws its figure. If
@@ -7,10 +7,9 @@ their table stays as it is. The agents are those of the suites, so a change of t
 networks in the package only needs another call.
 """
 
-import sys
 from pathlib import Path
 
-from write_results import ROOT, keep, refill
+from result_pages import ROOT, keep, refill
 
 from charms_bench.people.population import read_population
 from charms_bench.report.figures.drawing import save
@@ -30,7 +29,7 @@ RELEASED = SUITES / "released" / "likeness.yaml"
 FIGURE = ROOT / "docs" / "likeness.png"
 
 
-def main(data: Path) -> None:
+def write_page(data: Path) -> None:
     """Writes the tables, the page and the figure."""
     for road, (file, suite) in ROADS.items():
         read = load_suite(suite)
@@ -52,9 +51,3 @@ def write(name: str, rows: list[Likeness]) -> None:
     scores, conduct = likeness_tables(rows, [])
     keep(name, markdown(scores))
     keep(f"{name}-conduct", markdown(conduct))
-
-
-if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: python tools/likeness_page.py DATA")
-    main(Path(sys.argv[1]))

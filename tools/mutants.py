@@ -1,4 +1,4 @@
-"""How well traffic models find faults: `python tools/mutants.py RUN`, a run of suites/mutants.yaml.
+"""How well traffic models find faults, for `write_results.py mutants RUN` of suites/mutants.yaml.
 
 Writes the tables of docs/mutants.md, which says what the numbers are, and the severity of every
 driver in every traffic model to `docs/results/mutants.csv`. With several runs, of other episodes,
@@ -6,7 +6,6 @@ it writes the tables of the repetitions.
 """
 
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 from plan_seeds import mean_of
-from write_results import RESULTS, ROOT, keep, refill
+from result_pages import RESULTS, ROOT, keep, refill
 
 from charms_bench.episodes.avoidability import avoidability, collisions
 from charms_bench.episodes.criticality import COLLISION, criticality
@@ -248,7 +247,15 @@ def titles_of(run: FinishedRun) -> tuple[list[str], dict[str, Sequence[int]]]:
     }
 
 
-def main(folder: Path) -> None:
+def write(*folders: Path) -> None:
+    """Writes the tables of a run, or of the repetitions."""
+    if len(folders) > 1:
+        repeat(folders)
+    else:
+        write_one(*folders)
+
+
+def write_one(folder: Path) -> None:
     """Writes the tables and the severities."""
     run = open_finished(folder)
     (egos, ladders), cells = titles_of(run), cells_of(run)
@@ -315,12 +322,3 @@ def repeat(folders: Sequence[Path]) -> None:
     for name, records in (("repetitions", whole), ("repeated-faults", parts)):
         keep(f"mutants-{name}", markdown(_table(records, 1)))
     refill(ROOT / "docs" / "mutants.md")
-
-
-if __name__ == "__main__":
-    if len(sys.argv) < 2:
-        sys.exit("usage: python tools/mutants.py RUN [RUN ...]")
-    if len(sys.argv) == 2:
-        main(Path(sys.argv[1]))
-    else:
-        repeat([Path(each) for each in sys.argv[1:]])

@@ -1,10 +1,9 @@
-"""The tables of the plan: `python tools/plan_tables.py NETWORKS RUNS OUTPUT [names]`.
+"""The tables of the plan, for `write_results.py plan NETWORKS RUNS [NAME ...]`.
 
-NETWORKS and RUNS are the folders of `tools/plan.py`. OUTPUT gets `plan-NAME.md` for each table, and
-CSV files with the values of every cell and seed. What RUNS does not hold is left out and named.
+NETWORKS and RUNS are the folders of `tools/plan.py`. `docs/results` gets `plan-NAME.md` for each
+table, and CSV files of the trainings. What RUNS does not hold is left out and named.
 """
 
-import argparse
 import json
 from collections.abc import Callable, Sequence
 from itertools import count
@@ -25,6 +24,7 @@ from plan_styles import (
     told_frame,
 )
 from plan_verdicts import criteria_table, judged, trials_table
+from result_pages import RESULTS
 
 from charms_bench.errors import RunFolderError
 from charms_bench.report.markdown import markdown
@@ -305,15 +305,9 @@ def values_of(runs: Path, frame: str, missing: dict[str, str]) -> pl.DataFrame |
     return pl.concat(found, how="vertical_relaxed") if found else None
 
 
-def main() -> None:
-    """Writes the tables that the arguments name."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("networks", type=Path)
-    parser.add_argument("runs", type=Path)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("names", nargs="*", choices=[*TABLES, []], help="by default, all")
-    given = parser.parse_args()
-    write_tables(given.networks, given.runs, given.output, given.names or list(TABLES))
+def write(networks: Path, runs: Path, *names: Path) -> None:
+    """Writes the tables that the names say, by default all."""
+    write_tables(networks, runs, RESULTS, [*map(str, names)] or list(TABLES))
 
 
 def write_tables(networks: Path, runs: Path, output: Path, names: Sequence[str]) -> None:
@@ -344,7 +338,3 @@ def write_tables(networks: Path, runs: Path, output: Path, names: Sequence[str])
         if text:
             (output / f"plan-{name}.md").write_text(text, encoding="utf-8")
         print(f"plan-{name}.md: {'written' if text else 'left out'}")
-
-
-if __name__ == "__main__":
-    main()

@@ -7,13 +7,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from pydantic import ValidationError
 
-from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
 from charms_bench.envs.given_actions import GivenLike
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.learners import Learners, Reward
 from charms_bench.envs.progress_reward import ProgressReward
-from charms_bench.envs.scene_episodes import SceneEpisodes
+from charms_bench.envs.scene_episodes import OfScenes, SceneEpisodes
 from charms_bench.envs.single_env import SingleEnv
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.errors import InputError, problem_in
@@ -34,7 +33,7 @@ or what a suite gives as `traffic`: `{"name": ..., "options": ...}`, `{"mixture"
 `{"scenario": ...}`. The path of an ONNX file is the name of an agent."""
 
 
-class EgoEnv(SingleEnv):
+class EgoEnv(OfScenes, SingleEnv):
     """One episode after another; the actions given to `step` drive the ego.
 
     The episodes are those of a suite: `reset(seed=k)` starts the episode with seed k. Without a
@@ -84,12 +83,6 @@ class EgoEnv(SingleEnv):
         how = (around, agents, reward or reward_of(actions, settings), observation_of(observation))
         learners = Learners(settings, 1, (0,), *how, ID, actions, longitudinal, lateral)
         super().__init__(SceneEpisodes(learners), render_mode)
-
-    @property
-    def simulation(self) -> Simulation:
-        """The simulation of the episode."""
-        found: Simulation = self._episodes.simulation
-        return found
 
 
 def ego_vector_env(

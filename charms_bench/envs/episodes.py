@@ -1,7 +1,8 @@
 """What every environment asks of its episodes, whatever road they are on."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -29,10 +30,11 @@ class Decided(NamedTuple):
     truncated: Bools
 
 
-class Episodes(Protocol):
+class Episodes(ABC):
     """Episodes in B scenes, which are N environments: one a scene, or one for each learner of it.
 
-    In arrays (N,), the learners of the first scene come first.
+    In arrays (N,), the learners of the first scene come first. Where there is one scene, its L
+    learners can be asked one by one, as agents.
     """
 
     title: str
@@ -42,97 +44,119 @@ class Episodes(Protocol):
     decision_hz: float
     spaces: Spaces
     """Of one environment."""
+    numbers: Sequence[int]
+    """Of the agents' vehicles."""
+    action_names: Sequence[str]
+    idle = 0
+    """The action of agents that have left."""
 
+    @abstractmethod
     def check_started(self, what: str) -> None:
         """Raises a `ResetNeeded` before the first reset."""
 
+    @abstractmethod
     def reseed(self, rows: Ints, seeds: Seeds) -> None:
         """Seeds the random generators of the scenes `rows`, before a reset starts them."""
 
+    @abstractmethod
     def start(self, rows: Ints, seeds: Seeds) -> None:
         """Starts an episode in each of the scenes `rows`."""
 
+    @abstractmethod
     def observe(self) -> Any:
         """The present observations of all environments."""
 
+    @abstractmethod
     def begin(self, observations: Any, rows: Ints) -> None:
         """Puts the observations of the scenes `rows`, which have just started, among others."""
 
+    @abstractmethod
     def decide(self, actions: Any, due: Ints = NO_SCENES) -> Decided:
         """Carries out actions (N, ...) until the next decision; nothing counts in scenes `due`."""
 
     def over(self, ended: Bools) -> Bools:
         """(B,) the scenes that nobody drives any more, if these environments (N,) have ended."""
+        return ended.copy()
 
     def of_scenes(self, rows: Ints) -> Ints:
         """The environments of scenes."""
+        return rows
 
     def scenes_of(self, mask: Any) -> Any:
         """The mask (B,) of scenes from one (N,) of environments, or None."""
+        return mask
 
     def facts(self, known: Bools) -> dict[str, Any]:
         """Infos (N, ...) about the last decision, of the environments `known`."""
+        return {}
 
     def final(self, ended: Bools) -> dict[str, Any]:
         """Infos (N, ...) about the episodes that have `ended`, beside `facts`."""
+        return {}
 
     def first(self) -> dict[str, Any]:
         """Infos (N, ...) about the episodes that have just started."""
+        return {}
 
     def always(self) -> dict[str, Any]:
         """Infos (N, ...) of every step and reset."""
+        return {}
 
+    @abstractmethod
     def masks(self) -> Any:
-        """The action masks (N, A) of the next decision."""
+        """The action masks (N, A) of the next decision; where actions are tuples, (N, L, A)."""
 
+    @abstractmethod
     def frame(self, row: int) -> Frame:
         """The picture of a scene."""
 
+    @abstractmethod
     def saved(self, next_seed: int | None) -> Any:
         """The state of all scenes, with a seed that `load` returns."""
 
+    @abstractmethod
     def load(self, state: Any) -> int | None:
         """Continues from what `saved` returned; returns the seed."""
 
+    @abstractmethod
     def state(self) -> Any:
         """The state of all scenes, from which other environments may start."""
 
+    @abstractmethod
     def restore(self, state: Any) -> None:
         """Starts all scenes in a state."""
 
+    @abstractmethod
     def decide_one(self, action: Any) -> Decided:
         """As `decide`, where there is one environment."""
 
+    @abstractmethod
     def result(self, decided: Decided, action: Any) -> Any:
         """What `step` of one environment returns."""
 
+    @abstractmethod
     def first_info(self) -> dict[str, Any]:
         """What `reset` of one environment returns as its info."""
 
-
-class AgentEpisodes(Episodes, Protocol):
-    """Episodes in one scene, whose L learners are asked one by one."""
-
-    numbers: Sequence[int]
-    """Those of their vehicles."""
-    action_names: Sequence[str]
-    idle: int
-    """The action of learners that have left."""
-
+    @abstractmethod
     def spaces_of_agents(self) -> list[Spaces]:
         """The spaces of each agent."""
 
+    @abstractmethod
     def driving(self) -> Bools:
-        """(L,) who drives."""
+        """(L,) which agents drive."""
 
+    @abstractmethod
     def decide_each(self, chosen: Ints) -> tuple[list[float], list[bool], list[bool]]:
-        """Carries out actions (L,); returns rewards, terminations and truncations of L."""
+        """Carries out actions (L,); returns rewards, terminations and truncations of L agents."""
 
+    @abstractmethod
     def seen_by(self, which: Ints) -> Any:
-        """The observations of some of the learners."""
+        """The observations of some of the agents."""
 
+    @abstractmethod
     def infos_of(self, which: Ints, *, starts: bool = False) -> list[dict[str, Any]]:
-        """The infos of some of the learners after a decision, or as an episode starts."""
+        """The infos of some of the agents after a decision, or as an episode starts."""
 
 
 def checked_options(options: Any, *known: str) -> dict[str, Any]:

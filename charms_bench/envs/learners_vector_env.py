@@ -6,18 +6,17 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import TrafficLike, surroundings
 from charms_bench.envs.given_actions import MetaLike
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
-from charms_bench.envs.scene_episodes import SceneEpisodes
+from charms_bench.envs.scene_episodes import OfScenes, SceneEpisodes
 from charms_bench.envs.vector_env import ScenesVectorEnv
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import Bools
 
 
-class LearnersVectorEnv(ScenesVectorEnv):
+class LearnersVectorEnv(OfScenes, ScenesVectorEnv):
     """B scenes with L learners each, as a Gymnasium vector environment; see `ScenesVectorEnv`.
 
     `array.reshape(B, L, ...)` has one row per scene. A learner's episode terminates when its
@@ -65,12 +64,6 @@ class LearnersVectorEnv(ScenesVectorEnv):
         how = (around, agents, reward, observation_of(observation), title)
         made = Learners(settings, scenes, learners, *how, actions, longitudinal, lateral)
         super().__init__(SceneEpisodes(made), render_mode, first_seed, autoreset_mode)
-
-    @property
-    def simulation(self) -> Simulation:
-        """The simulation of all scenes."""
-        found: Simulation = self._episodes.simulation
-        return found
 
     @property
     def learners(self) -> tuple[int, ...]:

@@ -8,14 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import TrafficLike, surroundings
-from charms_bench.envs.episodes import FIRST_SCENE, AgentEpisodes
+from charms_bench.envs.episodes import FIRST_SCENE, Episodes
 from charms_bench.envs.given_actions import MetaLike
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
-from charms_bench.envs.scene_episodes import SceneEpisodes
+from charms_bench.envs.scene_episodes import OfScenes, SceneEpisodes
 from charms_bench.envs.seeds import checked_seed
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Ints
@@ -59,8 +58,8 @@ class AgentsParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is unt
     agents: list[str]
     """Those that drive."""
 
-    def __init__(self, episodes: AgentEpisodes, render_mode: str | None) -> None:
-        self._episodes = episodes
+    def __init__(self, episodes: Episodes, render_mode: str | None) -> None:
+        self._episodes: Any = episodes
         self.render_mode = render_mode
         self._renderer = Renderer(1, episodes.decision_hz, render_mode, episodes.title)
         self.metadata = {**self.metadata, "render_fps": episodes.decision_hz}
@@ -187,7 +186,7 @@ class AgentsParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is unt
         return self._observed()[0]
 
 
-class HighwayParallelEnv(AgentsParallelEnv):
+class HighwayParallelEnv(OfScenes, AgentsParallelEnv):
     """An `AgentsParallelEnv` in which the caller drives all vehicles or some of them.
 
     `vehicle_k` is the k-th of the other vehicles in the order of spawning. `reset(seed=k)` starts
@@ -224,10 +223,3 @@ class HighwayParallelEnv(AgentsParallelEnv):
         how = (around, agents, reward, observation_of(observation), title)
         made = Learners(settings, 1, learners, *how, actions, longitudinal, lateral)
         super().__init__(SceneEpisodes(made), render_mode)
-
-    @property
-    def simulation(self) -> Simulation:
-        """The simulation of the episode."""
-        episodes: Any = self._episodes
-        found: Simulation = episodes.simulation
-        return found

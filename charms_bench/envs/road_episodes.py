@@ -1,7 +1,7 @@
 """Episodes of highway-env's environments, such as `merge-v0`."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from typing import Any
 
@@ -10,7 +10,16 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from charms_bench.envs.episodes import NO_SCENES, Decided, Seeds, Spaces, masked, put, row_of
+from charms_bench.envs.episodes import (
+    NO_SCENES,
+    Decided,
+    Episodes,
+    Seeds,
+    Spaces,
+    masked,
+    put,
+    row_of,
+)
 from charms_bench.envs.given_actions import array_of
 from charms_bench.envs.rendering import Frame
 from charms_bench.envs.road_rendering import RoadPictures
@@ -22,7 +31,8 @@ from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.roads.available_actions import available_actions
 from charms_bench.roads.configuration import MetaActions
 from charms_bench.roads.controls import Controls
-from charms_bench.roads.episodes import Decision, Episodes, EpisodesState
+from charms_bench.roads.episodes import Decision, EpisodesState
+from charms_bench.roads.episodes import Episodes as RoadScenes
 from charms_bench.roads.parking import Parking
 
 RoadReward = Callable[[NDArray[np.void], Mapping[str, Floats]], Floats]
@@ -31,8 +41,8 @@ given the vehicles (B, N), which are rows of `roads.scenes.VEHICLE` of which the
 and the terms of highway-env's reward (B,) by name."""
 
 
-class RoadEpisodes:
-    """The episodes of an environment with highway-env's name, as `Episodes` and `AgentEpisodes`.
+class RoadEpisodes(Episodes):
+    """The episodes of an environment with highway-env's name.
 
     The seed of an episode is that of the scene's random generator; without one, it continues.
 
@@ -68,14 +78,14 @@ class RoadEpisodes:
             InputError: It has an unknown key or a value that is not supported.
         """
         try:
-            self.inner = Episodes(self.title, self.scenes, config)
+            self.inner = RoadScenes(self.title, self.scenes, config)
         except InputError as error:
             raise InputError(f"{self.title}: {error}") from error
         inner = self.inner
-        self.decision_hz: float = inner.config["policy_frequency"]
+        self.decision_hz = inner.config["policy_frequency"]
         self.spaces = spaces_of(inner)
-        self.numbers: Sequence[int] = range(inner.agents)
-        self.action_names: Sequence[str] = getattr(inner.actions, "names", ())
+        self.numbers = range(inner.agents)
+        self.action_names = getattr(inner.actions, "names", ())
         self.idle = self.action_names.index("IDLE") if "IDLE" in self.action_names else 0
         self._seen: Any = None
         """The last observations (B, ...); None before the first start."""
@@ -138,15 +148,6 @@ class RoadEpisodes:
         self._own_rewards = found
         return np.asarray(found.mean(axis=1))
 
-    def over(self, ended: Bools) -> Bools:
-        return ended.copy()
-
-    def of_scenes(self, rows: Ints) -> Ints:
-        return rows
-
-    def scenes_of(self, mask: Any) -> Any:
-        return mask
-
     def facts(self, known: Bools) -> dict[str, Any]:
         """highway-env's infos."""
         inner, facts = self.inner, {}
@@ -162,16 +163,10 @@ class RoadEpisodes:
         own = {} if self._own_rewards is None else {"agents_rewards": self._own_rewards}
         return {**found, **own}
 
-    def final(self, ended: Bools) -> dict[str, Any]:
-        return {}
-
     def first(self) -> dict[str, Any]:
         """What every info has, (B,) by name [`AbstractEnv._info`]."""
         ego = self.inner.scenes.vehicles[:, 0]
         return {"speed": ego["speed"].copy(), "crashed": ego["crashed"].copy()}
-
-    def always(self) -> dict[str, Any]:
-        return {}
 
     @property
     def meta_actions(self) -> MetaActions:
@@ -290,7 +285,7 @@ class RoadEpisodes:
         ]
 
 
-def spaces_of(episodes: Episodes) -> Spaces:
+def spaces_of(episodes: RoadScenes) -> Spaces:
     """The spaces of the observations and the actions of one environment."""
     config = episodes.config
     where = {
@@ -307,7 +302,7 @@ def spaces_of(episodes: Episodes) -> Spaces:
     )
 
 
-def _checked(actions: Any, episodes: Episodes) -> Any:
+def _checked(actions: Any, episodes: RoadScenes) -> Any:
     """The actions (B, ...) or those of each agent, if they are such."""
     if not episodes.has_agents:
         return _checked_of_one(actions, episodes)
@@ -325,7 +320,7 @@ def _parts(actions: Any) -> list[Any]:
         raise InputError(f"action {actions!r}; expected those of several agents") from error
 
 
-def _checked_of_one(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
+def _checked_of_one(actions: NDArray[Any], episodes: RoadScenes) -> NDArray[Any]:
     """The actions (B, ...) of one agent, if they are such."""
     space = episodes.actions.space
     is_discrete = isinstance(space, gymnasium.spaces.Discrete)
@@ -346,6 +341,6 @@ def _checked_of_one(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
     return actions.astype(np.int64, copy=False)
 
 
-def _terms(episodes: Episodes, decision: Decision, row: Any = slice(None)) -> Any:
+def _terms(episodes: RoadScenes, decision: Decision, row: Any = slice(None)) -> Any:
     """The terms of the rewards by name, without their weights."""
     return zip(episodes.task.terms, np.moveaxis(decision.terms, 1, 0)[:, row], strict=True)

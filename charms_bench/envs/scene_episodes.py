@@ -1,6 +1,5 @@
 """Episodes in scenes of agents, on a straight road or one of highway-env's."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +8,7 @@ from gymnasium.error import ResetNeeded
 from charms_bench.engine.endings import ENDINGS, RUNNING
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
-from charms_bench.envs.episodes import NO_SCENES, Decided, Seeds, Spaces, spread
+from charms_bench.envs.episodes import NO_SCENES, Decided, Episodes, Seeds, Spaces, spread
 from charms_bench.envs.given_actions import array_of
 from charms_bench.envs.learners import Learners
 from charms_bench.envs.rendering import Frame, frame_of, moment_of
@@ -17,6 +16,18 @@ from charms_bench.envs.seeds import random_seeds
 from charms_bench.errors import InputError
 from charms_bench.foundation.generator import State, seeded, word
 from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Floats, Ints, Observations, Vehicles
+
+
+class OfScenes:
+    """An environment of `SceneEpisodes`."""
+
+    _episodes: Any
+
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation of all scenes."""
+        found: Simulation = self._episodes.simulation
+        return found
 
 
 class EpisodesState(NamedTuple):
@@ -35,8 +46,8 @@ class EpisodesState(NamedTuple):
     """[B L] which of them drive."""
 
 
-class SceneEpisodes:
-    """The episodes of learners, as `Episodes` and `AgentEpisodes`.
+class SceneEpisodes(Episodes):
+    """The episodes of learners.
 
     The seed of an episode is drawn by the scene's generator where none is given, as
     `numpy.random.default_rng(seed)` draws numbers below 2**62.
@@ -45,16 +56,13 @@ class SceneEpisodes:
         learners: The learners of all scenes.
     """
 
-    idle = 0
-    """Nobody carries out the actions of learners that have left."""
-
     def __init__(self, learners: Learners) -> None:
         self.learners, self.title = learners, learners.title
         self.scenes, self.environments = learners.simulation.seeds.size, learners.returns.size
-        self.decision_hz: float = learners.simulation.settings.decision_hz
-        self.spaces: Spaces = learners.spaces
-        self.numbers: Sequence[int] = learners.numbers
-        self.action_names: Sequence[str] = learners.actions.names
+        self.decision_hz = learners.simulation.settings.decision_hz
+        self.spaces = learners.spaces
+        self.numbers = learners.numbers
+        self.action_names = learners.actions.names
         self._generators = seeded(random_seeds(self.scenes))
         self._endings: Ints = np.full(self.environments, RUNNING)
 
@@ -108,9 +116,6 @@ class SceneEpisodes:
     def scenes_of(self, mask: Any) -> Any:
         return self.learners.scenes_of(mask)
 
-    def facts(self, known: Bools) -> dict[str, Any]:
-        return {}
-
     def final(self, ended: Bools) -> dict[str, Any]:
         simulation, scene_of = self.simulation, self.learners.scene_of
         found = {
@@ -120,9 +125,6 @@ class SceneEpisodes:
             "seed": simulation.seeds[scene_of],
         }
         return {name: np.where(ended, values, 0) for name, values in found.items()}
-
-    def first(self) -> dict[str, Any]:
-        return {}
 
     def always(self) -> dict[str, Any]:
         """The action masks; continuous actions have none."""

@@ -8,7 +8,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
 from charms_bench.envs.autoreset import Autoreset
 from charms_bench.envs.episodes import Episodes, Seeds, checked_options, masked, row_of
@@ -16,7 +15,7 @@ from charms_bench.envs.given_actions import GivenLike
 from charms_bench.envs.learners import C, Learners, Reward
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.envs.scene_episodes import EpisodesState as EpisodesState
-from charms_bench.envs.scene_episodes import SceneEpisodes
+from charms_bench.envs.scene_episodes import OfScenes, SceneEpisodes
 from charms_bench.envs.seeds import checked_seed, seeds_of
 from charms_bench.envs.single_env import restore_option
 from charms_bench.envs.torch_threads import warn_of_torch_threads
@@ -247,7 +246,7 @@ class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         return [next(left) if own is None else own for own in given]
 
 
-class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
+class HighwayVectorEnv(OfScenes, ScenesVectorEnv, Generic[C]):
     """B episodes side by side; when one ends, the next starts, by default within the same step.
 
     An episode terminates when the ego collides or leaves the road, and is truncated when its time
@@ -276,9 +275,3 @@ class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
         how = (traffic, agents, reward, observation, ID, actions, longitudinal, lateral)
         episodes = SceneEpisodes(Learners(settings, scenes, (0,), *how))
         super().__init__(episodes, render_mode, first_seed, autoreset_mode)
-
-    @property
-    def simulation(self) -> Simulation:
-        """The simulation of all scenes."""
-        found: Simulation = self._episodes.simulation
-        return found

@@ -30,6 +30,7 @@ CODE_OF = {
     "recordings.md": "tests/docs/test_recordings_page.py",
     "maps.md": "tests/docs/test_maps_page.py",
     "highway-env-roads.md": "tests/docs/test_python_page.py",
+    "train-on-roads.md": "tests/docs/test_python_page.py",
     "run-folders.md": "tests/docs/test_data_out_page.py",
     **ELSEWHERE,
 }

@@ -5,7 +5,7 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
+from types import SimpleNamespace
 
 import polars as pl
 import pytest
@@ -22,26 +22,35 @@ REPRODUCTIONS = ("reproduction-ego", "reproduction-styles", "reproduction-enviro
 
 
 @pytest.fixture(scope="module")
-def tool() -> Iterator[ModuleType]:
+def tool() -> Iterator[SimpleNamespace]:
     sys.path.insert(0, str(ROOT / "tools"))
+    import rare_comparison
+    import reproduction
+    import result_pages
+    import run_results
+    import suite_results
     import write_results
 
-    yield write_results
+    modules = (rare_comparison, reproduction, result_pages, run_results, suite_results)
+    made = SimpleNamespace(TABLES=write_results.TABLES)
+    for module in modules:
+        vars(made).update(vars(module))
+    yield made
     sys.path.remove(str(ROOT / "tools"))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_a_page_has_the_tables_that_were_written_last(tool: ModuleType, page: Path) -> None:
+def test_a_page_has_the_tables_that_were_written_last(tool: SimpleNamespace, page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert tool.filled(text) == text, "python tools/write_results.py RUNS"
 
 
-def test_every_table_is_on_a_page(tool: ModuleType) -> None:
+def test_every_table_is_on_a_page(tool: SimpleNamespace) -> None:
     from plan_tables import TABLES
 
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     used = {found[2] for found in tool.BLOCK.finditer(text)}
-    # Other tools write the others: rare_coverage.py, likeness_page.py, mutants.py, plan_tables.py.
+    # Other tools write the others: rare_coverage.py, likeness_page, mutants, plan_tables.
     written = {*tool.TABLES, "rare-coverage", "mutants", "mutants-ladders", "mutants-repetitions",
                "mutants-repeated-faults", "plan-brake"}  # fmt: skip
     written |= {f"plan-{name}" for name in TABLES}
@@ -51,7 +60,7 @@ def test_every_table_is_on_a_page(tool: ModuleType) -> None:
     assert used == written == {path.stem for path in tool.RESULTS.glob("*.md")}
 
 
-def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> None:
+def test_a_number_has_its_interval_and_the_papers_value(tool: SimpleNamespace) -> None:
     rows = [
         ("IDM", "mixed", "paper-2", "speed_mean", 23.676, 23.6, 23.7, 100, 23.67),
         ("IDM", "mixed", "standard-5", "speed_mean", 25.0, 24.9, 25.1, 100, None),
@@ -77,7 +86,7 @@ def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> Non
     ]
 
 
-def test_collisions_are_counted_by_the_decisions_that_were_left(tool: ModuleType) -> None:
+def test_collisions_are_counted_by_the_decisions_that_were_left(tool: SimpleNamespace) -> None:
     fields = {"ego": "A", "traffic": "T", "ending": "side", "replacement": None, "nodes": 1}
     fields |= {"collided_s": 9.9}
     found = [
@@ -99,7 +108,9 @@ def test_collisions_are_counted_by_the_decisions_that_were_left(tool: ModuleType
     assert who.splitlines()[2:] == ["| b | 2 | 3 |", "| c | 1 | 3 |"]
 
 
-def test_the_table_of_rare_events_compares_at_equal_width(tool: ModuleType, tmp_path: Path) -> None:
+def test_the_table_of_rare_events_compares_at_equal_width(
+    tool: SimpleNamespace, tmp_path: Path
+) -> None:
     # Width of an interval of n plain episodes of probability p: exp(2 * 1.96 / sqrt(n p)) between
     # its ends. Ends a factor of e apart give n = (2 * 1.96)**2 / p = 15.4 / p, with p = 1e-4.
     tables = tmp_path / "rare" / "tables"
@@ -115,13 +126,15 @@ def test_the_table_of_rare_events_compares_at_equal_width(tool: ModuleType, tmp_
 
 
 @pytest.mark.parametrize("name", REPRODUCTIONS)
-def test_a_table_of_the_reproduction_is_that_of_its_numbers(tool: ModuleType, name: str) -> None:
+def test_a_table_of_the_reproduction_is_that_of_its_numbers(
+    tool: SimpleNamespace, name: str
+) -> None:
     numbers = pl.read_csv(tool.RESULTS / f"{name}.csv")
     written = (tool.RESULTS / f"{name}.md").read_text(encoding="utf-8")
     assert tool.side_by_side(numbers) == written
 
 
-def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much(tool: ModuleType) -> None:
+def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much(tool: SimpleNamespace) -> None:
     parts = [f"{source}_{part}" for source in ("released", "ours") for part in NUMBERS]
     columns = ["agent", "metric", "paper", *parts]
     rows = [

@@ -1,4 +1,4 @@
 """Small faults in the source code, which `tools/mutate.py` has the tests find.
 
-The faulty drivers of `tools/mutants.py` are something else: they are simulated on purpose.
+The faulty drivers of `suites/mutants.yaml` are something else: they are simulated on purpose.
 """
