@@ -21,6 +21,7 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
+from charms_bench.maps.road_map import RoadMap
 from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.giving_way import (
     MOST_AHEAD,
@@ -85,6 +86,20 @@ class Places(NamedTuple):
     until: Floats
 
 
+class Lights(NamedTuple):
+    """The programs of lights: P phases, light after light."""
+
+    lanes: Ints
+    """(P,) the lane for which each phase is."""
+    begins: Floats
+    """(P,) when it begins, s after the beginning of the program."""
+    ends: Floats
+    cycles: Floats
+    """(P,) how long the program is, s."""
+    is_red: Ints
+    """(P,)"""
+
+
 class FileRoad(Task):
     """See the module."""
 
@@ -118,7 +133,7 @@ class FileRoad(Task):
             inside[lane] = bool(links[lane] and before[lane]) and bool(is_inside[beside].all())
         self.links = links
         self._meetings, self._inside = meetings_of(self._map, indices), inside
-        self._red = np.zeros(len(indices), dtype=np.int64)
+        self._lights = _lights(self._map, indices)
         firsts = np.unique(road.lanes["first"])
         outside = firsts[~is_inside[firsts]]
         self._routes = routes_of(road, links, outside if outside.size else firsts)
@@ -147,6 +162,12 @@ class FileRoad(Task):
         _start(scenes, rows, self._rule, self._everywhere, self._routes)
         self._regulate(scenes, rows)
 
+    def release_egos(self, scenes: Scenes) -> None:
+        """Makes the egos vehicles like the others, for a road without an ego."""
+        egos = scenes.vehicles[:, : self.egos]
+        egos["kind"] = np.where(egos["kind"] > OBSTACLE, IDM, egos["kind"])
+        self._rule = self._rule._replace(egos=0)
+
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         """There is no reward; environments have their own."""
         rewards[rows] = 0.0
@@ -163,7 +184,7 @@ class FileRoad(Task):
     def _regulate(self, scenes: Scenes, rows: Ints) -> None:
         """Says where vehicles stop."""
         lists = self._links, self._ends
-        _regulate(scenes, rows, lists, self._meetings, self._inside, self._red)
+        _regulate(scenes, rows, lists, self._meetings, self._inside, self._lights, self._rule.interval)
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the road of its goal, as far along as that is."""
@@ -174,6 +195,31 @@ class FileRoad(Task):
         priority = scenes.road.lanes["priority"]
         known = any(each.gives_way for each in self._map.conflicts)
         return np.where(known, priority, NO_RANK)
+
+
+def _lights(road: RoadMap, indices: Mapping[str, int]) -> Lights:
+    """The programs of a map's lights."""
+    found: list[tuple[float, ...]] = []
+    for each in road.signals:
+        cycle = sum(seconds for seconds, _ in each.program)
+        for lane in each.lanes:
+            begin = 0.0
+            for seconds, colour in each.program:
+                phase = indices[lane], begin, begin + seconds, cycle, colour == "red"
+                found.append(phase)
+                begin += seconds
+    lanes, begins, ends, cycles, is_red = np.array(found, np.float64).reshape(-1, 5).T.copy()
+    return Lights(lanes.astype(np.int64), begins, ends, cycles, is_red.astype(np.int64))
+
+
+@compiled
+def show_lights(lights: Lights, time: float, is_red: Ints) -> None:
+    """Fills in which lanes (L,) have a red light after a time, s."""
+    is_red[:] = 0
+    for p in range(lights.lanes.size):
+        now = time % lights.cycles[p]
+        if lights.begins[p] <= now < lights.ends[p] and lights.is_red[p]:
+            is_red[lights.lanes[p]] = 1
 
 
 def _places(lanes: Ints, weights: Floats) -> Places:
@@ -335,6 +381,7 @@ def _follow(
     """Has vehicles find their ways, leave and come back; see the module."""
     for b in rows:
         here, has_changed = here_of(scenes, b), False
+        scenes.steps[b] += 1
         for i in range(here.places):
             forget(here, i)
             vehicle = scenes.vehicles[b, i]
@@ -431,9 +478,11 @@ def _regulate(
     links: tuple[Ints, Ints],
     meetings: Meetings,
     inside: Ints,
-    is_red: Ints,
+    lights: Lights,
+    interval: float,
 ) -> None:
     """Says where the vehicles of the scenes `rows` stop."""
+    is_red = np.zeros(scenes.road.lanes.size, dtype=np.int64)
     count = scenes.vehicles.shape[1]
     ahead = Ahead(
         np.zeros((count, MOST_AHEAD), dtype=np.int64),
@@ -446,6 +495,7 @@ def _regulate(
         np.zeros(count, dtype=np.bool_),
     )
     for b in rows:
+        show_lights(lights, scenes.steps[b] * interval, is_red)
         look_along(scenes, b, links, ahead)
         give_way(scenes, b, meetings, inside, is_red, ahead)
 
