@@ -229,7 +229,9 @@ def signalised() -> tuple[list[Road], list[dict[str, Any]]]:
         roads.append({"start": f"from{q}", "end": f"in{q}", "lanes": to})
         roads.append({"start": f"out{q}", "end": f"end{q}", "lanes": away})
         x, y = turn(-half, 2.5 * WIDTH)
-        program = [[20, "green"], [25, "red"]] if q % 2 else [[23, "red"], [19, "green"], [3, "red"]]
+        program = (
+            [[20, "green"], [25, "red"]] if q % 2 else [[23, "red"], [19, "green"], [3, "red"]]
+        )
         signals.append(
             {
                 "id": f"light{q}",
@@ -279,9 +281,7 @@ def roundabout() -> list[Road]:
         ring = {"junction": "ring", "roundabout": True}
         roads.append(ring | {"start": nodes[0], "end": before, "lanes": part})
         past = [
-            arc(
-                f"ring{q}.past.{n}", (0.0, 0.0), radius, (leaves, enters), 8.3, f"ring{q}.{n}"
-            )
+            arc(f"ring{q}.past.{n}", (0.0, 0.0), radius, (leaves, enters), 8.3, f"ring{q}.{n}")
             for n, radius in enumerate(radii)
         ]
         roads.append(ring | {"start": nodes[1], "end": nodes[0], "lanes": past})
@@ -318,7 +318,9 @@ def curve(start: Point, heading: float, end: Point, end_heading: float) -> list[
         weights = 2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, 3 * t**2 - 2 * t**3, t**3 - t**2
         points.append(
             tuple(
-                rounded(sum(w * p[axis] for w, p in zip(weights, (start, one, end, other), strict=True)))
+                rounded(
+                    sum(w * p[axis] for w, p in zip(weights, (start, one, end, other), strict=True))
+                )
                 for axis in (0, 1)
             )
         )
@@ -362,8 +364,12 @@ def town(blocks: int = 3, block: float = 110.0, half: float = 12.0) -> list[Road
     for node in sorted({each.removesuffix("<") for each in wanted} | known):
         i, j, q = map(int, node.split(","))
         turn, y = turned(q), WIDTH / 2
-        start, end = ((i * block + dx, j * block + dy) for dx, dy in (turn(half - block, y), turn(-half, y)))
-        following = [lane["id"] for road in roads if road["start"] == node for lane in road["lanes"]]
+        start, end = (
+            (i * block + dx, j * block + dy) for dx, dy in (turn(half - block, y), turn(-half, y))
+        )
+        following = [
+            lane["id"] for road in roads if road["start"] == node for lane in road["lanes"]
+        ]
         lane = straight(f"{node}<.0", start, end, 13.9, *following)
         roads.append({"start": f"{node}<", "end": node, "lanes": [lane]})
     return roads
@@ -371,7 +377,11 @@ def town(blocks: int = 3, block: float = 110.0, half: float = 12.0) -> list[Road
 
 if __name__ == "__main__":
     place("motorway", motorway())
-    place("cloverleaf", cloverleaf(), lambda each: next((lane for lane in each.lanes if "right" in lane), ""))
+    place(
+        "cloverleaf",
+        cloverleaf(),
+        lambda each: next((lane for lane in each.lanes if "right" in lane), ""),
+    )
     roads, signals = signalised()
     place("signalised crossing", roads, left_gives_way, signals)
     place("roundabout", roundabout(), entry_gives_way)

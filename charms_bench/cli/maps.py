@@ -81,7 +81,6 @@ def road(
         say(f"Written: {shown(absolute(path))}")
 
 
-
 @app.command(rich_help_panel=ROADS)
 def drive(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Road file or map, as for `road`.")],

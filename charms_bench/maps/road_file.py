@@ -312,9 +312,7 @@ def read_road_file(path: Path) -> RoadMap:
             )
         ),
         signals=tuple(
-            Signal(
-                each.id, each.kind, each.x, each.y, each.code, each.lanes, each.program
-            )
+            Signal(each.id, each.kind, each.x, each.y, each.code, each.lanes, each.program)
             for each in file.signals
         ),
         gaps=tuple(Gap(each.lanes, each.length, each.bridge) for each in file.gaps),

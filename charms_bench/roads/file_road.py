@@ -184,7 +184,9 @@ class FileRoad(Task):
     def _regulate(self, scenes: Scenes, rows: Ints) -> None:
         """Says where vehicles stop."""
         lists = self._links, self._ends
-        _regulate(scenes, rows, lists, self._meetings, self._inside, self._lights, self._rule.interval)
+        _regulate(
+            scenes, rows, lists, self._meetings, self._inside, self._lights, self._rule.interval
+        )
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the road of its goal, as far along as that is."""

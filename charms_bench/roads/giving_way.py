@@ -81,7 +81,7 @@ class Ahead(NamedTuple):
     turns: Floats
     """[N] when each vehicle is at its next junction, less the time for which it has stood, s."""
     blocked: Ints
-    """[N] the lane before the junction that a vehicle cannot enter for lack of room; -1 for none."""
+    """[N] the lane before the junction that a vehicle has no room to enter; -1 for none."""
     is_held: Bools
     """[N] whether it stays where it is: a wreck, for lack of room, or in a queue."""
 

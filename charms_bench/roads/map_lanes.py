@@ -68,10 +68,8 @@ def limit_in_curves(lane: MapLane) -> float:
     """The speed at which the tightest curve of a lane takes `LATERAL_MPS2`, m/s."""
     if type(lane.exact) is StraightLane:
         return math.inf
-    if isinstance(lane.exact, CircularLane):
-        radius = lane.exact.radius
-    else:
-        radius = _tightest(lane.points)
+    is_arc = isinstance(lane.exact, CircularLane)
+    radius = lane.exact.radius if is_arc else _tightest(lane.points)
     return max(math.sqrt(LATERAL_MPS2 * radius), SLOWEST_MPS)
 
 
