@@ -88,6 +88,7 @@ def _joined_roads(road: RoadMap) -> tuple[list[MapRoad], dict[str, tuple[str, fl
         taken.add((whole.start, whole.end))
         for first, second in zip(one.lanes, other.lanes, strict=True):
             gone[second.id] = first.id, first.length
+            lit |= {first.id} if second.id in lit else set()
         kept.pop(id(other))
         kept[id(one)] = whole
         kept = {id(each): each for each in kept.values()}

@@ -107,21 +107,22 @@ class FileRoad(Task):
     comes_and_goes = True
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        self._map = map_of(Path(config["file"]), config["sha256"])
+        self.map = map_of(Path(config["file"]), config["sha256"])
         super().__init__(config)
         road = self.layout.network
-        indices = {
+        self.indices = indices = {
             lane.id: self.layout.lanes[each.start, each.end, k]
-            for each in self._map.roads
+            for each in self.map.roads
             for k, lane in enumerate(each.lanes)
         }
+        """The indices of the lanes by their names in the file."""
         links: list[list[int]] = [[] for _ in indices]
         inside = np.zeros(len(indices), dtype=np.int64)
-        for each in self._map.roads:
+        for each in self.map.roads:
             for lane in each.lanes:
                 links[indices[lane.id]] = [indices[after] for after in lane.successors]
                 inside[indices[lane.id]] = bool(each.junction)
-        for name, level in levels_of(self._map).items():
+        for name, level in levels_of(self.map).items():
             road.lanes["level"][indices[name]] = level
         is_inside = inside > 0
         before: list[list[int]] = [[] for _ in indices]
@@ -132,11 +133,11 @@ class FileRoad(Task):
             beside = [*links[lane], *before[lane]]
             inside[lane] = bool(links[lane] and before[lane]) and bool(is_inside[beside].all())
         self.links = links
-        self._meetings, self._inside = meetings_of(self._map, indices), inside
-        self._lights = _lights(self._map, indices)
+        self._meetings, self._inside = meetings_of(self.map, indices), inside
+        self._lights = _lights(self.map, indices)
         firsts = np.unique(road.lanes["first"])
         outside = firsts[~is_inside[firsts]]
-        self._routes = routes_of(road, links, outside if outside.size else firsts)
+        self.routes = routes_of(road, links, outside if outside.size else firsts)
         flat = [after for each in links for after in each]
         self._links = np.array(flat, dtype=np.int64)
         self._ends = np.cumsum([len(each) for each in links])
@@ -156,10 +157,10 @@ class FileRoad(Task):
         """(B, N) what happened to each vehicle after the last decision; 0 is nothing."""
 
     def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
-        return driven_lanes(self._map)
+        return driven_lanes(self.map)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
-        _start(scenes, rows, self._rule, self._everywhere, self._routes)
+        _start(scenes, rows, self._rule, self._everywhere, self.routes)
         self._regulate(scenes, rows)
 
     def release_egos(self, scenes: Scenes) -> None:
@@ -178,7 +179,7 @@ class FileRoad(Task):
         starts = self._everywhere if self._starts is None else self._starts
         at_start = self._starts is not None
         lists = self._links, self._ends
-        _follow(scenes, rows, self._rule, starts, at_start, lists, self._routes, self.happened)
+        _follow(scenes, rows, self._rule, starts, at_start, lists, self.routes, self.happened)
         self._regulate(scenes, rows)
 
     def _regulate(self, scenes: Scenes, rows: Ints) -> None:
@@ -190,12 +191,12 @@ class FileRoad(Task):
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the road of its goal, as far along as that is."""
-        return _have_reached(scenes, self._routes)
+        return _have_reached(scenes, self.routes)
 
     def ranks(self, scenes: Scenes) -> Ints:
         """The priorities, if the file says who gives way."""
         priority = scenes.road.lanes["priority"]
-        known = any(each.gives_way for each in self._map.conflicts)
+        known = any(each.gives_way for each in self.map.conflicts)
         return np.where(known, priority, NO_RANK)
 
 

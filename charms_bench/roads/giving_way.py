@@ -83,7 +83,8 @@ class Ahead(NamedTuple):
     blocked: Ints
     """[N] the lane before the junction that a vehicle has no room to enter; -1 for none."""
     is_held: Bools
-    """[N] whether it stays where it is: a wreck, for lack of room, or in a queue."""
+    """[N] whether it does not enter the junction: a wreck, at a red light, without room or in a
+    queue."""
 
 
 def meetings_of(road: RoadMap, indices: dict[str, int]) -> Meetings:
@@ -101,9 +102,10 @@ def meetings_of(road: RoadMap, indices: dict[str, int]) -> Meetings:
                 order = GIVES_WAY if each.gives_way == own else GOES_FIRST
             found[indices[own]].append((indices[across], *parts[k], *parts[1 - k], order))
     flat = np.array([each for lane in found for each in lane], dtype=np.float64).reshape(-1, 6)
-    columns = [np.ascontiguousarray(column) for column in flat.T]
+    other, begins, until, other_begins, other_until, order = map(np.ascontiguousarray, flat.T)
     ends = np.cumsum([len(lane) for lane in found])
-    return Meetings(ends, columns[0].astype(np.int64), *columns[1:5], columns[5].astype(np.int64))
+    places = begins, until, other_begins, other_until
+    return Meetings(ends, other.astype(np.int64), *places, order.astype(np.int64))
 
 
 def _part(lane: MapLane, other: MapLane, at: float, is_end: bool) -> tuple[float, float]:
@@ -186,6 +188,8 @@ def give_way(
                     ahead.blocked[i] = ahead.lanes[i, k - 1]
                 break
         ahead.is_held[i] = vehicle.crashed or ahead.blocked[i] == ahead.lanes[i, 0]
+        if is_red[ahead.lanes[i, 0]] and start - LINE_M + MARGIN_M >= braking_way(vehicle):
+            ahead.is_held[i] = ahead.counts[i] > 0
         if vehicle.speed < SLOW_MPS and ahead.counts[i] > 0 and not inside[ahead.lanes[i, 0]]:
             ahead.is_held[i] |= start > AWAY_M or is_behind(i, ahead)
     for i in range(scenes.vehicles.shape[1]):
