@@ -126,12 +126,12 @@ class FileRoad(Task):
             road.lanes["level"][indices[name]] = level
         is_inside = inside > 0
         before: list[list[int]] = [[] for _ in indices]
-        for lane, each in enumerate(links):
-            for after in each:
-                before[after].append(lane)
-        for lane in np.nonzero(~is_inside & (road.lanes["length"] < BETWEEN_M))[0]:
-            beside = [*links[lane], *before[lane]]
-            inside[lane] = bool(links[lane] and before[lane]) and bool(is_inside[beside].all())
+        for k, following in enumerate(links):
+            for after in following:
+                before[after].append(k)
+        for k in np.nonzero(~is_inside & (road.lanes["length"] < BETWEEN_M))[0].tolist():
+            beside = [*links[k], *before[k]]
+            inside[k] = bool(links[k] and before[k]) and bool(is_inside[beside].all())
         self.links = links
         self._meetings, self._inside = meetings_of(self.map, indices), inside
         self._lights = _lights(self.map, indices)
@@ -232,8 +232,8 @@ def _places(lanes: Ints, weights: Floats) -> Places:
 @compiled
 def draw_lane(state: Any, places: Places) -> int:
     """A lane, by the weights of the lanes."""
-    at = uniform(state, 0.0, places.until[-1])
-    return int(places.lanes[min(np.searchsorted(places.until, at), places.lanes.size - 1)])
+    k = int(np.searchsorted(places.until, uniform(state, 0.0, places.until[-1])))
+    return int(places.lanes[min(k, places.lanes.size - 1)])
 
 
 @compiled

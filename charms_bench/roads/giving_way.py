@@ -102,10 +102,18 @@ def meetings_of(road: RoadMap, indices: dict[str, int]) -> Meetings:
                 order = GIVES_WAY if each.gives_way == own else GOES_FIRST
             found[indices[own]].append((indices[across], *parts[k], *parts[1 - k], order))
     flat = np.array([each for lane in found for each in lane], dtype=np.float64).reshape(-1, 6)
-    other, begins, until, other_begins, other_until, order = map(np.ascontiguousarray, flat.T)
+    columns = [np.ascontiguousarray(column) for column in flat.T]
     ends = np.cumsum([len(lane) for lane in found])
-    places = begins, until, other_begins, other_until
-    return Meetings(ends, other.astype(np.int64), *places, order.astype(np.int64))
+    begins, until, other_begins, other_until = columns[1:5]
+    return Meetings(
+        ends,
+        columns[0].astype(np.int64),
+        begins,
+        until,
+        other_begins,
+        other_until,
+        columns[5].astype(np.int64),
+    )
 
 
 def _part(lane: MapLane, other: MapLane, at: float, is_end: bool) -> tuple[float, float]:

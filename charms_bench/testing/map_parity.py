@@ -86,7 +86,7 @@ class OwnRoad:
         known = map_of(path, str(road.sha256))
         lane_km = sum(lane.length for lane in known.lanes) / 1000
         config = {"file": str(path), "sha256": road.sha256, "density": (vehicles - 1) / lane_km}
-        self.task = FileRoad(DEFAULTS[FILE_ROAD] | config)
+        self.task = FileRoad({**DEFAULTS[FILE_ROAD], **config})
         lanes = self.task.layout.network.lanes
         lanes["level"] = 0
         constants, speeds = HIGHWAY_ENV.constants(1 / HZ), np.linspace(20, 30, 3)
