@@ -342,9 +342,12 @@ def polyline(lane: str, points: list[Point], limit: float, *after: str) -> Road:
 
 
 def entry_gives_way(conflict: Conflict) -> str:
-    """Vehicles give way to those in the ring."""
-    entering = [lane for lane in conflict.lanes if ".entry." in lane]
-    return entering[0] if len(entering) == 1 else ""
+    """Vehicles give way to those in the ring, and from its inner lane to those in the outer one."""
+    for part in (".entry.", ".exit.0"):
+        found = [lane for lane in conflict.lanes if part in lane]
+        if len(found) == 1:
+            return found[0]
+    return ""
 
 
 def town(blocks: int = 3, block: float = 110.0, half: float = 12.0) -> list[Road]:

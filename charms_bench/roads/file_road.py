@@ -24,6 +24,7 @@ from charms_bench.foundation.generator import integers, uniform
 from charms_bench.maps.road_map import RoadMap
 from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.giving_way import (
+    LINE_M,
     MOST_AHEAD,
     Ahead,
     Meetings,
@@ -33,7 +34,7 @@ from charms_bench.roads.giving_way import (
 )
 from charms_bench.roads.layout import Edge
 from charms_bench.roads.locating import forget, locate
-from charms_bench.roads.looking_ahead import speed_ahead
+from charms_bench.roads.looking_ahead import BRAKING_MPS2, speed_ahead
 from charms_bench.roads.map_lanes import driven_lanes, levels_of, map_of
 from charms_bench.roads.routes import Routes, plan_way, routes_of
 from charms_bench.roads.scenes import (
@@ -160,7 +161,7 @@ class FileRoad(Task):
         return driven_lanes(self.map)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
-        _start(scenes, rows, self._rule, self._everywhere, self.routes)
+        _start(scenes, rows, self._rule, self._everywhere, self.routes, self._inside)
         self._regulate(scenes, rows)
 
     def release_egos(self, scenes: Scenes) -> None:
@@ -179,7 +180,17 @@ class FileRoad(Task):
         starts = self._everywhere if self._starts is None else self._starts
         at_start = self._starts is not None
         lists = self._links, self._ends
-        _follow(scenes, rows, self._rule, starts, at_start, lists, self.routes, self.happened)
+        _follow(
+            scenes,
+            rows,
+            self._rule,
+            starts,
+            at_start,
+            lists,
+            self.routes,
+            self._inside,
+            self.happened,
+        )
         self._regulate(scenes, rows)
 
     def _regulate(self, scenes: Scenes, rows: Ints) -> None:
@@ -286,10 +297,12 @@ def appear(
     kind: int,
     goal: int,
     routes: Routes,
+    inside: Ints,
 ) -> bool:
     """Puts a vehicle on a lane if there is space, as fast as it may be there.
 
-    `at` is its place, the lane, and how far along it. An IDM vehicle draws its goal.
+    `at` is its place, the lane, and how far along it. An IDM vehicle draws its goal. It can stop
+    before the next junction; `inside` (L,) says which lanes are in junctions.
     """
     i, lane, s = at
     row = scenes.road.lanes[lane]
@@ -306,6 +319,9 @@ def appear(
         draw_behaviour(scenes, b, i)
     plan_way(vehicle, scenes.road, routes, vehicle.lane, True)
     vehicle.speed = speed_ahead(here, i)
+    if vehicle.route_end > 1 and inside[vehicle.route_roads[1]]:
+        way = max(row.length - s - LINE_M, 0.0)
+        vehicle.speed = min(vehicle.speed, math.sqrt(2 * BRAKING_MPS2 * way))
     if kind == IDM:
         vehicle.target_speed = vehicle.speed
     else:
@@ -315,7 +331,9 @@ def appear(
 
 
 @compiled_of_scenes
-def _start(scenes: Scenes, rows: Ints, rule: Rule, everywhere: Places, routes: Routes) -> None:
+def _start(
+    scenes: Scenes, rows: Ints, rule: Rule, everywhere: Places, routes: Routes, inside: Ints
+) -> None:
     """Places the egos with their goals, and the other vehicles."""
     road, places = scenes.road, scenes.vehicles.shape[1]
     for b in rows:
@@ -338,14 +356,14 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, everywhere: Places, routes: R
                 goal_s = 0.0
                 if goal < 0:  # it is the end of its own road, or as far as it can get
                     goal, goal_s = own_goal(routes, row.first), min(s + most, row.length)
-                if appear(scenes, here, b, (i, lane, s), COMMANDED, goal, routes):
+                if appear(scenes, here, b, (i, lane, s), COMMANDED, goal, routes, inside):
                     scenes.vehicles[b, i].goal_s = goal_s
                     break
         for i in range(rule.egos, places):
             for _ in range(DRAWS):
                 lane = draw_lane(state, everywhere)
                 s = uniform(state, 0.0, road.lanes[lane].length)
-                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes):
+                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes, inside):
                     break
         tidy(scenes, b)
 
@@ -379,6 +397,7 @@ def _follow(
     at_start: bool,
     links: tuple[Ints, Ints],
     routes: Routes,
+    inside: Ints,
     happened: Ints,
 ) -> None:
     """Has vehicles find their ways, leave and come back; see the module."""
@@ -404,7 +423,7 @@ def _follow(
                 s = min(ENTRY_M, length)
                 if not at_start:
                     s = uniform(scenes.generator[b], 0.0, length)
-                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes):
+                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes, inside):
                     has_changed = True
                     if happened[b, i] == 0:
                         happened[b, i] = ENTERED
@@ -486,6 +505,9 @@ def _regulate(
 ) -> None:
     """Says where the vehicles of the scenes `rows` stop."""
     is_red = np.zeros(scenes.road.lanes.size, dtype=np.int64)
+    ends_here = np.zeros(scenes.road.lanes.size, dtype=np.bool_)
+    for lane in range(ends_here.size):
+        ends_here[lane] = links[1][lane] == (links[1][lane - 1] if lane > 0 else 0)
     count = scenes.vehicles.shape[1]
     ahead = Ahead(
         np.zeros((count, MOST_AHEAD), dtype=np.int64),
@@ -500,7 +522,7 @@ def _regulate(
     for b in rows:
         show_lights(lights, scenes.steps[b] * interval, is_red)
         look_along(scenes, b, links, ahead)
-        give_way(scenes, b, meetings, inside, is_red, ahead)
+        give_way(scenes, b, meetings, inside, is_red, ends_here, ahead)
 
 
 @compiled_of_scenes

@@ -11,7 +11,8 @@ vehicle has left. The first is
    has stood.
 
 A vehicle also stays out of a junction as long as it would have to stand in it behind another one,
-and stops at a red light. A vehicle that can no longer stop goes on.
+and stops at a red light, and at the end of a lane that leads nowhere while its road goes on. A
+vehicle that can no longer stop goes on.
 """
 
 from typing import NamedTuple
@@ -176,11 +177,18 @@ def lane_after(road: Network, links: tuple[Ints, Ints], lane: int, first: int) -
 
 @compiled
 def give_way(
-    scenes: Scenes, b: int, meetings: Meetings, inside: Ints, is_red: Ints, ahead: Ahead
+    scenes: Scenes,
+    b: int,
+    meetings: Meetings,
+    inside: Ints,
+    is_red: Ints,
+    ends_here: Bools,
+    ahead: Ahead,
 ) -> None:
     """Says where the vehicles of scene b stop.
 
-    `inside` (L,) says which lanes are in junctions, and `is_red` (L,) which have a red light.
+    `inside` (L,) says which lanes are in junctions, `is_red` (L,) which have a red light, and
+    `ends_here` (L,) which lead to no other lane.
     """
     for i in range(scenes.vehicles.shape[1]):
         vehicle, start = scenes.vehicles[b, i], 0.0
@@ -224,6 +232,9 @@ def give_way(
                         stop(scenes, b, i, lane, meetings.begins[c] - MARGIN_M)
             if is_red[lane] and scenes.vehicles[b, i].stop_lane < 0:
                 stop(scenes, b, i, lane, scenes.road.lanes[lane].length - LINE_M)
+            row = scenes.road.lanes[lane]
+            if ends_here[lane] and row.next_count > 0 and scenes.vehicles[b, i].stop_lane < 0:
+                stop(scenes, b, i, lane, row.length - LINE_M)
             if scenes.vehicles[b, i].stop_lane >= 0:
                 break
 
@@ -316,7 +327,7 @@ def waits(
     other_rank = rank_of(other, first, their_k, comes, inside, ahead)
     if rank != other_rank:
         return bool(other_rank > rank)
-    if rank == 0 and meetings.order[c] != UNKNOWN:
+    if rank != 1 and meetings.order[c] != UNKNOWN:
         return bool(meetings.order[c] == GIVES_WAY)
     mine, theirs = ahead.turns[i], ahead.turns[first]
     return bool(theirs < mine or (theirs == mine and first < i))

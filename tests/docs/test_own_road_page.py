@@ -37,7 +37,7 @@ def test_the_page_leads_from_a_map_to_a_table_and_a_film(
             assert done.returncode == 0, said[command]
     assert "collisions in 1,000 km" in next(text for key, text in said.items() if " drive " in key)
     assert "IDM+MOBIL" in said["charms-bench run my-road.yaml"]
-    film = tmp_path / "runs" / "my-road" / "replays" / "IDM_MOBIL-in-ramp-3.gif"
+    film = tmp_path / "runs" / "my-road" / "replays" / "idm-mobil-in-ramp-3.gif"
     assert film.name in PAGE.read_text(encoding="utf-8")
     with Image.open(film) as pictures:
         assert getattr(pictures, "n_frames", 1) > 10
