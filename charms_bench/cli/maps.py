@@ -1,4 +1,4 @@
-"""`road`: what is in a road map."""
+"""`road`: what is in a road map; `drive`: traffic on it."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -79,6 +79,37 @@ def road(
         say(f"Lanes with a kink of more than 90 degrees: {', '.join(back[:MOST_GAPS])}{more}")
     for path in filter(None, (to, figure)):
         say(f"Written: {shown(absolute(path))}")
+
+
+@app.command(rich_help_panel=ROADS)
+def drive(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Road file or map, as for `road`.")],
+    vehicles: Annotated[int, typer.Option(min=2, help="How many vehicles drive.")] = 100,
+    hours: Annotated[float, typer.Option(min=0.001, max=1000.0, help="For how long.")] = 1.0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Decides where vehicles start and where they go.")
+    ] = 0,
+    as_json: Json = False,
+) -> None:
+    """Let traffic drive on a road for hours, and count what goes wrong."""
+    from charms_bench.roads.long_drive import long_drive  # slow to import
+
+    found = long_drive(absolute(file), vehicles, hours, seed)
+    facts = {**vars(found), "crashes_per_1000_km": found.crashes_per_1000_km}
+    if as_json:
+        end_with_json(facts)
+    kinds = "; ".join(f"{count} {kind}" for kind, count in found.crashes.items())
+    records = {
+        "driven": f"{found.km:,.1f} km in {found.hours:g} h by {found.vehicles} vehicles",
+        "collisions": f"{sum(found.crashes.values())} ({kinds or 'none'})",
+        "collisions in 1,000 km": f"{found.crashes_per_1000_km:.1f}",
+        "left the road": counted(found.off_road, "time"),
+        "stood for 2 minutes and were taken out": counted(found.freed, "vehicle"),
+        "left at an end, and came back": f"{found.left:,} and {found.entered:,}",
+        "time at standstill": f"{100 * found.standing:.1f} %",
+    }
+    rows = [{"fact": fact, "found": value} for fact, value in records.items()]
+    print_records("fact", rows, {"found": ""})
 
 
 def _in_words(facts: dict[str, Any]) -> dict[str, str]:

@@ -22,7 +22,7 @@ def joined(road: RoadMap) -> RoadMap:
 
     They have the same number of lanes, each of which leads to one lane with the same speed limit,
     and they are in the same junction or in none. A joined lane has the name of the first. Roads
-    stay apart where highway-env's rules need it; see `nodes`.
+    stay apart where a signal is between them, or highway-env's rules need it; see `nodes`.
     """
     roads, moved = _joined_roads(road)
     places = {lane.id: (lane.id, 0.0) for each in roads for lane in each.lanes}
@@ -69,6 +69,7 @@ def _joined_roads(road: RoadMap) -> tuple[list[MapRoad], dict[str, tuple[str, fl
         starting[each.start].append(each)
         ending[each.end].append(each)
     taken = {(each.start, each.end) for each in road.roads}
+    lit = {lane for each in road.signals for lane in each.lanes}
     gone: dict[str, tuple[str, float]] = {}
     kept = {id(each): each for each in road.roads}
     for node in [*starting]:
@@ -76,6 +77,8 @@ def _joined_roads(road: RoadMap) -> tuple[list[MapRoad], dict[str, tuple[str, fl
             continue
         one, other = ending[node][0], starting[node][0]
         if one is other or (one.start, other.end) in taken or not _fit(one, other):
+            continue
+        if any(lane.id in lit for lane in one.lanes):
             continue
         lanes = tuple(map(_joined_lane, one.lanes, other.lanes))
         if any(map(turns_back, lanes)):
@@ -85,6 +88,7 @@ def _joined_roads(road: RoadMap) -> tuple[list[MapRoad], dict[str, tuple[str, fl
         taken.add((whole.start, whole.end))
         for first, second in zip(one.lanes, other.lanes, strict=True):
             gone[second.id] = first.id, first.length
+            lit |= {first.id} if second.id in lit else set()
         kept.pop(id(other))
         kept[id(one)] = whole
         kept = {id(each): each for each in kept.values()}

@@ -40,6 +40,7 @@ Point = Annotated[tuple[Finite, Finite], Field(strict=False)]
 Numbers = Annotated[tuple[Finite, ...], Field(strict=False)]
 Pairs = Annotated[tuple[Line, Line], Field(strict=False)]
 Names = Annotated[tuple[Line, ...], Field(strict=False)]
+Phase = Annotated[tuple[Positive, Literal["green", "red"]], Field(strict=False)]
 
 
 class _Lane(FrozenModel):
@@ -164,6 +165,9 @@ class FileSignal(FrozenModel):
     """What the map calls it, such as the number of a sign."""
     lanes: Names = ()
     """The ids of the lanes for which it is."""
+    program: Annotated[tuple[Phase, ...], Field(strict=False)] = ()
+    """How long the light is `green` or `red`, s, such as `[[20, "green"], [25, "red"]]`; it begins
+    with an episode and is repeated. Without a program, vehicles do not look at the light."""
 
 
 class FileGap(FrozenModel):
@@ -308,7 +312,7 @@ def read_road_file(path: Path) -> RoadMap:
             )
         ),
         signals=tuple(
-            Signal(each.id, each.kind, each.x, each.y, each.code, each.lanes)
+            Signal(each.id, each.kind, each.x, each.y, each.code, each.lanes, each.program)
             for each in file.signals
         ),
         gaps=tuple(Gap(each.lanes, each.length, each.bridge) for each in file.gaps),

@@ -129,6 +129,8 @@ class Signal:
     """What the map calls it, such as the number of a sign."""
     lanes: tuple[str, ...] = ()
     """The lanes for which it is."""
+    program: tuple[tuple[float, str], ...] = ()
+    """How long a light is `green` or `red`, s, again and again from the start on."""
 
 
 @dataclass(frozen=True)

@@ -337,7 +337,7 @@ def choose_lane(here: Here, i: int, free: float, own: float, front: int, rear: i
             vehicle.target_lane = vehicle.lane
     elif vehicle.timer_s > here.constants.lane_change_period_s:
         vehicle.timer_s = 0.0
-        if not abs(vehicle.speed) < 1:
+        if not abs(vehicle.speed) < 1 or here.constants.looks_ahead:
             consider_sides(here, i, free, own, front, rear)
 
 

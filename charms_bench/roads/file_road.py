@@ -21,8 +21,10 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
+from charms_bench.maps.road_map import RoadMap
 from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.giving_way import (
+    LINE_M,
     MOST_AHEAD,
     Ahead,
     Meetings,
@@ -32,7 +34,7 @@ from charms_bench.roads.giving_way import (
 )
 from charms_bench.roads.layout import Edge
 from charms_bench.roads.locating import forget, locate
-from charms_bench.roads.looking_ahead import speed_ahead
+from charms_bench.roads.looking_ahead import BRAKING_MPS2, speed_ahead
 from charms_bench.roads.map_lanes import driven_lanes, levels_of, map_of
 from charms_bench.roads.routes import Routes, plan_way, routes_of
 from charms_bench.roads.scenes import (
@@ -85,6 +87,20 @@ class Places(NamedTuple):
     until: Floats
 
 
+class Lights(NamedTuple):
+    """The programs of lights: P phases, light after light."""
+
+    lanes: Ints
+    """(P,) the lane for which each phase is."""
+    begins: Floats
+    """(P,) when it begins, s after the beginning of the program."""
+    ends: Floats
+    cycles: Floats
+    """(P,) how long the program is, s."""
+    is_red: Ints
+    """(P,)"""
+
+
 class FileRoad(Task):
     """See the module."""
 
@@ -92,36 +108,37 @@ class FileRoad(Task):
     comes_and_goes = True
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        self._map = map_of(Path(config["file"]), config["sha256"])
+        self.map = map_of(Path(config["file"]), config["sha256"])
         super().__init__(config)
         road = self.layout.network
-        indices = {
+        self.indices = indices = {
             lane.id: self.layout.lanes[each.start, each.end, k]
-            for each in self._map.roads
+            for each in self.map.roads
             for k, lane in enumerate(each.lanes)
         }
+        """The indices of the lanes by their names in the file."""
         links: list[list[int]] = [[] for _ in indices]
         inside = np.zeros(len(indices), dtype=np.int64)
-        for each in self._map.roads:
+        for each in self.map.roads:
             for lane in each.lanes:
                 links[indices[lane.id]] = [indices[after] for after in lane.successors]
                 inside[indices[lane.id]] = bool(each.junction)
-        for name, level in levels_of(self._map).items():
+        for name, level in levels_of(self.map).items():
             road.lanes["level"][indices[name]] = level
         is_inside = inside > 0
         before: list[list[int]] = [[] for _ in indices]
-        for lane, each in enumerate(links):
-            for after in each:
-                before[after].append(lane)
-        for lane in np.nonzero(~is_inside & (road.lanes["length"] < BETWEEN_M))[0]:
-            beside = [*links[lane], *before[lane]]
-            inside[lane] = bool(links[lane] and before[lane]) and bool(is_inside[beside].all())
+        for k, following in enumerate(links):
+            for after in following:
+                before[after].append(k)
+        for k in np.nonzero(~is_inside & (road.lanes["length"] < BETWEEN_M))[0].tolist():
+            beside = [*links[k], *before[k]]
+            inside[k] = bool(links[k] and before[k]) and bool(is_inside[beside].all())
         self.links = links
-        self._meetings, self._inside = meetings_of(self._map, indices), inside
-        self._red = np.zeros(len(indices), dtype=np.int64)
+        self._meetings, self._inside = meetings_of(self.map, indices), inside
+        self._lights = _lights(self.map, indices)
         firsts = np.unique(road.lanes["first"])
         outside = firsts[~is_inside[firsts]]
-        self._routes = routes_of(road, links, outside if outside.size else firsts)
+        self.routes = routes_of(road, links, outside if outside.size else firsts)
         flat = [after for each in links for after in each]
         self._links = np.array(flat, dtype=np.int64)
         self._ends = np.cumsum([len(each) for each in links])
@@ -141,11 +158,17 @@ class FileRoad(Task):
         """(B, N) what happened to each vehicle after the last decision; 0 is nothing."""
 
     def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
-        return driven_lanes(self._map)
+        return driven_lanes(self.map)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
-        _start(scenes, rows, self._rule, self._everywhere, self._routes)
+        _start(scenes, rows, self._rule, self._everywhere, self.routes, self._inside)
         self._regulate(scenes, rows)
+
+    def release_egos(self, scenes: Scenes) -> None:
+        """Makes the egos vehicles like the others, for a road without an ego."""
+        egos = scenes.vehicles[:, : self.egos]
+        egos["kind"] = np.where(egos["kind"] > OBSTACLE, IDM, egos["kind"])
+        self._rule = self._rule._replace(egos=0)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         """There is no reward; environments have their own."""
@@ -157,23 +180,60 @@ class FileRoad(Task):
         starts = self._everywhere if self._starts is None else self._starts
         at_start = self._starts is not None
         lists = self._links, self._ends
-        _follow(scenes, rows, self._rule, starts, at_start, lists, self._routes, self.happened)
+        _follow(
+            scenes,
+            rows,
+            self._rule,
+            starts,
+            at_start,
+            lists,
+            self.routes,
+            self._inside,
+            self.happened,
+        )
         self._regulate(scenes, rows)
 
     def _regulate(self, scenes: Scenes, rows: Ints) -> None:
         """Says where vehicles stop."""
         lists = self._links, self._ends
-        _regulate(scenes, rows, lists, self._meetings, self._inside, self._red)
+        _regulate(
+            scenes, rows, lists, self._meetings, self._inside, self._lights, self._rule.interval
+        )
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the road of its goal, as far along as that is."""
-        return _have_reached(scenes, self._routes)
+        return _have_reached(scenes, self.routes)
 
     def ranks(self, scenes: Scenes) -> Ints:
         """The priorities, if the file says who gives way."""
         priority = scenes.road.lanes["priority"]
-        known = any(each.gives_way for each in self._map.conflicts)
+        known = any(each.gives_way for each in self.map.conflicts)
         return np.where(known, priority, NO_RANK)
+
+
+def _lights(road: RoadMap, indices: Mapping[str, int]) -> Lights:
+    """The programs of a map's lights."""
+    found: list[tuple[float, ...]] = []
+    for each in road.signals:
+        cycle = sum(seconds for seconds, _ in each.program)
+        for lane in each.lanes:
+            begin = 0.0
+            for seconds, colour in each.program:
+                phase = indices[lane], begin, begin + seconds, cycle, colour == "red"
+                found.append(phase)
+                begin += seconds
+    lanes, begins, ends, cycles, is_red = np.array(found, np.float64).reshape(-1, 5).T.copy()
+    return Lights(lanes.astype(np.int64), begins, ends, cycles, is_red.astype(np.int64))
+
+
+@compiled
+def show_lights(lights: Lights, time: float, is_red: Ints) -> None:
+    """Fills in which lanes (L,) have a red light after a time, s."""
+    is_red[:] = 0
+    for p in range(lights.lanes.size):
+        now = time % lights.cycles[p]
+        if lights.begins[p] <= now < lights.ends[p] and lights.is_red[p]:
+            is_red[lights.lanes[p]] = 1
 
 
 def _places(lanes: Ints, weights: Floats) -> Places:
@@ -183,8 +243,8 @@ def _places(lanes: Ints, weights: Floats) -> Places:
 @compiled
 def draw_lane(state: Any, places: Places) -> int:
     """A lane, by the weights of the lanes."""
-    at = uniform(state, 0.0, places.until[-1])
-    return int(places.lanes[min(np.searchsorted(places.until, at), places.lanes.size - 1)])
+    k = int(np.searchsorted(places.until, uniform(state, 0.0, places.until[-1])))
+    return int(places.lanes[min(k, places.lanes.size - 1)])
 
 
 @compiled
@@ -237,10 +297,12 @@ def appear(
     kind: int,
     goal: int,
     routes: Routes,
+    inside: Ints,
 ) -> bool:
     """Puts a vehicle on a lane if there is space, as fast as it may be there.
 
-    `at` is its place, the lane, and how far along it. An IDM vehicle draws its goal.
+    `at` is its place, the lane, and how far along it. An IDM vehicle draws its goal. It can stop
+    before the next junction; `inside` (L,) says which lanes are in junctions.
     """
     i, lane, s = at
     row = scenes.road.lanes[lane]
@@ -257,6 +319,9 @@ def appear(
         draw_behaviour(scenes, b, i)
     plan_way(vehicle, scenes.road, routes, vehicle.lane, True)
     vehicle.speed = speed_ahead(here, i)
+    if vehicle.route_end > 1 and inside[vehicle.route_roads[1]]:
+        way = max(row.length - s - LINE_M, 0.0)
+        vehicle.speed = min(vehicle.speed, math.sqrt(2 * BRAKING_MPS2 * way))
     if kind == IDM:
         vehicle.target_speed = vehicle.speed
     else:
@@ -266,7 +331,9 @@ def appear(
 
 
 @compiled_of_scenes
-def _start(scenes: Scenes, rows: Ints, rule: Rule, everywhere: Places, routes: Routes) -> None:
+def _start(
+    scenes: Scenes, rows: Ints, rule: Rule, everywhere: Places, routes: Routes, inside: Ints
+) -> None:
     """Places the egos with their goals, and the other vehicles."""
     road, places = scenes.road, scenes.vehicles.shape[1]
     for b in rows:
@@ -289,14 +356,14 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, everywhere: Places, routes: R
                 goal_s = 0.0
                 if goal < 0:  # it is the end of its own road, or as far as it can get
                     goal, goal_s = own_goal(routes, row.first), min(s + most, row.length)
-                if appear(scenes, here, b, (i, lane, s), COMMANDED, goal, routes):
+                if appear(scenes, here, b, (i, lane, s), COMMANDED, goal, routes, inside):
                     scenes.vehicles[b, i].goal_s = goal_s
                     break
         for i in range(rule.egos, places):
             for _ in range(DRAWS):
                 lane = draw_lane(state, everywhere)
                 s = uniform(state, 0.0, road.lanes[lane].length)
-                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes):
+                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes, inside):
                     break
         tidy(scenes, b)
 
@@ -330,11 +397,13 @@ def _follow(
     at_start: bool,
     links: tuple[Ints, Ints],
     routes: Routes,
+    inside: Ints,
     happened: Ints,
 ) -> None:
     """Has vehicles find their ways, leave and come back; see the module."""
     for b in rows:
         here, has_changed = here_of(scenes, b), False
+        scenes.steps[b] += 1
         for i in range(here.places):
             forget(here, i)
             vehicle = scenes.vehicles[b, i]
@@ -354,7 +423,7 @@ def _follow(
                 s = min(ENTRY_M, length)
                 if not at_start:
                     s = uniform(scenes.generator[b], 0.0, length)
-                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes):
+                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes, inside):
                     has_changed = True
                     if happened[b, i] == 0:
                         happened[b, i] = ENTERED
@@ -431,9 +500,14 @@ def _regulate(
     links: tuple[Ints, Ints],
     meetings: Meetings,
     inside: Ints,
-    is_red: Ints,
+    lights: Lights,
+    interval: float,
 ) -> None:
     """Says where the vehicles of the scenes `rows` stop."""
+    is_red = np.zeros(scenes.road.lanes.size, dtype=np.int64)
+    ends_here = np.zeros(scenes.road.lanes.size, dtype=np.bool_)
+    for lane in range(ends_here.size):
+        ends_here[lane] = links[1][lane] == (links[1][lane - 1] if lane > 0 else 0)
     count = scenes.vehicles.shape[1]
     ahead = Ahead(
         np.zeros((count, MOST_AHEAD), dtype=np.int64),
@@ -446,8 +520,9 @@ def _regulate(
         np.zeros(count, dtype=np.bool_),
     )
     for b in rows:
+        show_lights(lights, scenes.steps[b] * interval, is_red)
         look_along(scenes, b, links, ahead)
-        give_way(scenes, b, meetings, inside, is_red, ahead)
+        give_way(scenes, b, meetings, inside, is_red, ends_here, ahead)
 
 
 @compiled_of_scenes

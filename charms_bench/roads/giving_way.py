@@ -11,7 +11,8 @@ vehicle has left. The first is
    has stood.
 
 A vehicle also stays out of a junction as long as it would have to stand in it behind another one,
-and stops at a red light. A vehicle that can no longer stop goes on.
+and stops at a red light, and at the end of a lane that leads nowhere while its road goes on. A
+vehicle that can no longer stop goes on.
 """
 
 from typing import NamedTuple
@@ -81,9 +82,10 @@ class Ahead(NamedTuple):
     turns: Floats
     """[N] when each vehicle is at its next junction, less the time for which it has stood, s."""
     blocked: Ints
-    """[N] the lane before the junction that a vehicle cannot enter for lack of room; -1 for none."""
+    """[N] the lane before the junction that a vehicle has no room to enter; -1 for none."""
     is_held: Bools
-    """[N] whether it stays where it is: a wreck, for lack of room, or in a queue."""
+    """[N] whether it does not enter the junction: a wreck, at a red light, without room or in a
+    queue."""
 
 
 def meetings_of(road: RoadMap, indices: dict[str, int]) -> Meetings:
@@ -103,7 +105,16 @@ def meetings_of(road: RoadMap, indices: dict[str, int]) -> Meetings:
     flat = np.array([each for lane in found for each in lane], dtype=np.float64).reshape(-1, 6)
     columns = [np.ascontiguousarray(column) for column in flat.T]
     ends = np.cumsum([len(lane) for lane in found])
-    return Meetings(ends, columns[0].astype(np.int64), *columns[1:5], columns[5].astype(np.int64))
+    begins, until, other_begins, other_until = columns[1:5]
+    return Meetings(
+        ends,
+        columns[0].astype(np.int64),
+        begins,
+        until,
+        other_begins,
+        other_until,
+        columns[5].astype(np.int64),
+    )
 
 
 def _part(lane: MapLane, other: MapLane, at: float, is_end: bool) -> tuple[float, float]:
@@ -166,11 +177,18 @@ def lane_after(road: Network, links: tuple[Ints, Ints], lane: int, first: int) -
 
 @compiled
 def give_way(
-    scenes: Scenes, b: int, meetings: Meetings, inside: Ints, is_red: Ints, ahead: Ahead
+    scenes: Scenes,
+    b: int,
+    meetings: Meetings,
+    inside: Ints,
+    is_red: Ints,
+    ends_here: Bools,
+    ahead: Ahead,
 ) -> None:
     """Says where the vehicles of scene b stop.
 
-    `inside` (L,) says which lanes are in junctions, and `is_red` (L,) which have a red light.
+    `inside` (L,) says which lanes are in junctions, `is_red` (L,) which have a red light, and
+    `ends_here` (L,) which lead to no other lane.
     """
     for i in range(scenes.vehicles.shape[1]):
         vehicle, start = scenes.vehicles[b, i], 0.0
@@ -186,6 +204,8 @@ def give_way(
                     ahead.blocked[i] = ahead.lanes[i, k - 1]
                 break
         ahead.is_held[i] = vehicle.crashed or ahead.blocked[i] == ahead.lanes[i, 0]
+        if is_red[ahead.lanes[i, 0]] and start - LINE_M + MARGIN_M >= braking_way(vehicle):
+            ahead.is_held[i] = ahead.counts[i] > 0
         if vehicle.speed < SLOW_MPS and ahead.counts[i] > 0 and not inside[ahead.lanes[i, 0]]:
             ahead.is_held[i] |= start > AWAY_M or is_behind(i, ahead)
     for i in range(scenes.vehicles.shape[1]):
@@ -212,6 +232,9 @@ def give_way(
                         stop(scenes, b, i, lane, meetings.begins[c] - MARGIN_M)
             if is_red[lane] and scenes.vehicles[b, i].stop_lane < 0:
                 stop(scenes, b, i, lane, scenes.road.lanes[lane].length - LINE_M)
+            row = scenes.road.lanes[lane]
+            if ends_here[lane] and row.next_count > 0 and scenes.vehicles[b, i].stop_lane < 0:
+                stop(scenes, b, i, lane, row.length - LINE_M)
             if scenes.vehicles[b, i].stop_lane >= 0:
                 break
 
@@ -304,7 +327,7 @@ def waits(
     other_rank = rank_of(other, first, their_k, comes, inside, ahead)
     if rank != other_rank:
         return bool(other_rank > rank)
-    if rank == 0 and meetings.order[c] != UNKNOWN:
+    if rank != 1 and meetings.order[c] != UNKNOWN:
         return bool(meetings.order[c] == GIVES_WAY)
     mine, theirs = ahead.turns[i], ahead.turns[first]
     return bool(theirs < mine or (theirs == mine and first < i))

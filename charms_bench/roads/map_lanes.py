@@ -68,10 +68,8 @@ def limit_in_curves(lane: MapLane) -> float:
     """The speed at which the tightest curve of a lane takes `LATERAL_MPS2`, m/s."""
     if type(lane.exact) is StraightLane:
         return math.inf
-    if isinstance(lane.exact, CircularLane):
-        radius = lane.exact.radius
-    else:
-        radius = _tightest(lane.points)
+    exact = lane.exact
+    radius = exact.radius if isinstance(exact, CircularLane) else _tightest(lane.points)
     return max(math.sqrt(LATERAL_MPS2 * radius), SLOWEST_MPS)
 
 
@@ -109,12 +107,12 @@ def priorities_of(road: RoadMap) -> dict[str, int]:
         for lower, higher in pairs:
             found[higher] = min(max(found[higher], found[lower] + 1), RANKS)
     given = {*found}
-    edge = [(lane, 0.0) for lane in found]
+    edge = [(name, 0.0) for name in found]
     lengths = {lane.id: lane.length for lane in road.lanes}
-    for lane, along in edge:
-        for earlier in before.get(lane, ()) if along < APPROACH_M else ():
-            if earlier not in given and found.get(earlier, -1) < found[lane]:
-                found[earlier] = found[lane]
+    for name, along in edge:
+        for earlier in before.get(name, ()) if along < APPROACH_M else ():
+            if earlier not in given and found.get(earlier, -1) < found[name]:
+                found[earlier] = found[name]
                 edge.append((earlier, along + lengths[earlier]))
     return found
 
@@ -132,7 +130,8 @@ def levels_of(road: RoadMap) -> dict[str, int]:
         for each in road.roads
     ]
     at_one_level = {frozenset(each.lanes) for each in road.conflicts}
-    lanes, found = {lane.id: lane for lane in road.lanes}, {}
+    lanes = {lane.id: lane for lane in road.lanes}
+    found: dict[str, int] = {}
     pairs = []
     for each in conflicts_of(flat, set()):
         if each.kind == "crossing" and frozenset(each.lanes) not in at_one_level:

@@ -100,7 +100,8 @@ class _Grid(NamedTuple):
     def within(self, extent: Floats, distance: float) -> tuple[Any, Floats, Floats]:
         """The squares (R, C) within a distance of an extent, with their centres' x and y."""
         ends = np.stack((extent[:2] - distance, extent[2:] + distance)) - self.low
-        first, last = np.floor(ends / self.side).astype(int) + [[0], [1]]
+        first, last = np.floor(ends / self.side).astype(int)
+        last += 1
         (left, top), (right, bottom) = (
             np.clip(each, 0, (self.columns, self.rows)).tolist() for each in (first, last)
         )

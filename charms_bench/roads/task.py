@@ -38,8 +38,8 @@ class Task(ABC):
     regulation_steps = 0
     """After so many simulation steps, vehicles look who has the right of way; 0 if never."""
     links: Sequence[Sequence[int]] | None = None
-    """The lanes that follow each lane (L), along which vehicles look ahead; if None, they do not, and
-    all roads follow each other that meet at a node."""
+    """The lanes that follow each lane (L), along which vehicles look ahead. If None, they do not,
+    and all roads follow each other that meet at a node."""
     takes_types = True
     """Whether the vehicles other than the egos are of the type `other_vehicles_type`."""
     has_goal = True

@@ -154,7 +154,8 @@ class Suite(FrozenModel):
     roads: Annotated[
         tuple[RoadEntry, ...], Field(max_length=ENTRIES_LIMIT, strict=False), UNLESS_EMPTY
     ] = ()
-    """Roads of highway-env, at most 100. By default, it is the straight road of the scene."""
+    """Roads of highway-env or in files, at most 100. By default, it is the straight road of the
+    scene."""
     traffics: Annotated[
         tuple[TrafficEntry, ...],
         Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False, alias="traffic_models"),

@@ -1,6 +1,5 @@
 """Compares the vehicles of a road in a file with highway-env's own classes on the same lanes."""
 
-import math
 from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
@@ -9,14 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.roads.episodes import Episodes
-from charms_bench.roads.looking_ahead import BRAKING_MPS2, HORIZON_M
+from charms_bench.foundation.generator import seeded
+from charms_bench.roads.defaults import DEFAULTS
+from charms_bench.roads.file_road import FileRoad
 from charms_bench.roads.map_lanes import driven_lanes, map_of
-from charms_bench.roads.scenes import IDM, OBSTACLE
+from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.roads.stepping import decide
 from charms_bench.testing.chunks import in_chunks
 from charms_bench.testing.road_parity import NUMBERS, Comparison, difference, route_of
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
+from charms_bench.world.profile import HIGHWAY_ENV
 from charms_bench.world.road_network import Lane, PolyLane
 
 HZ = 15
@@ -32,8 +33,9 @@ def verify_map(
 ) -> list[Comparison]:
     """Compares episodes in which IDM vehicles drive their routes, second by second.
 
-    They start as the road's own vehicles do. Both brake before slower lanes of their routes, yield
-    by the same priorities, and see vehicles on connected lanes.
+    They start as the road's own vehicles do, with their routes, and see vehicles on connected
+    lanes. What `file_road` adds to highway-env is off: it looks ahead along the lanes that follow,
+    gives way, and has levels.
     """
 
     (found,) = in_chunks(
@@ -54,17 +56,17 @@ class _Compare:
 
     def __call__(self, path: Path, seeds: range) -> Comparison:
         """Compares episodes with highway-env as it computes in this process."""
-        ours = episodes_of_map(path, self._vehicles)
+        ours = OwnRoad(path, self._vehicles)
         road = NamedRoad.model_validate({"file": path})
         network = stock_network(driven_lanes(map_of(path, str(road.sha256))))
         names = [*network.lanes_dict()]
         found = Comparison(path.name)
         for seed in seeds:
-            start(ours, seed)
+            ours.start(seed)
             stock = stock_road(ours, network, names)
             found.episodes += 1
             for second in range(self._seconds):
-                advance(ours, 1)
+                ours.advance(1)
                 advance_stock(stock, HZ)
                 found.decisions += 1
                 apart, what = _apart(stock, ours, names)
@@ -76,29 +78,40 @@ class _Compare:
         return found
 
 
-def episodes_of_map(path: Path, vehicles: int) -> Episodes:
-    """One scene of about so many vehicles on the road in a file."""
-    road = NamedRoad.model_validate({"file": path})
-    known = map_of(path, str(road.sha256))
-    lane_km = sum(lane.length for lane in known.lanes) / 1000
-    density = (vehicles - 1) / lane_km
-    config = {"file": str(path), "sha256": road.sha256, "density": density}
-    return Episodes(FILE_ROAD, 1, config | {"simulation_frequency": HZ})
+class OwnRoad:
+    """A scene of about so many vehicles on the road in a file, by highway-env's rules alone."""
 
+    def __init__(self, path: Path, vehicles: int) -> None:
+        road = NamedRoad.model_validate({"file": path})
+        known = map_of(path, str(road.sha256))
+        lane_km = sum(lane.length for lane in known.lanes) / 1000
+        config = {"file": str(path), "sha256": road.sha256, "density": (vehicles - 1) / lane_km}
+        self.task = FileRoad({**DEFAULTS[FILE_ROAD], **config})
+        lanes = self.task.layout.network.lanes
+        lanes["level"] = 0
+        constants, speeds = HIGHWAY_ENV.constants(1 / HZ), np.linspace(20, 30, 3)
+        network = self.task.layout.network
+        self.scenes = Scenes.empty(1, self.task.vehicles, network, True, speeds, constants)
 
-def start(ours: Episodes, seed: int) -> None:
-    """Starts an episode in which the ego is an IDM vehicle, too."""
-    ours.seed(ours.everyone, np.array([seed], dtype=np.uint64))
-    ours.start(ours.everyone)
-    ego = ours.scenes.vehicles[:, 0]
-    ego["target_speed"][ego["kind"] > OBSTACLE] = ego["speed"][ego["kind"] > OBSTACLE]
-    ego["kind"][ego["kind"] > OBSTACLE] = IDM
+    def start(self, seed: int) -> None:
+        """Starts an episode in which the ego is an IDM vehicle, too."""
+        rows = np.arange(1)
+        self.scenes.generator[rows] = seeded(np.array([seed], dtype=np.uint64))
+        self.task.start(self.scenes, rows)
+        table = self.scenes.vehicles
+        table["target_speed"], table["stop_lane"] = table["speed"], -1
+        self.task.release_egos(self.scenes)
 
+    def advance(self, seconds: int) -> None:
+        """Advances without vehicles that come and go."""
+        nobody = np.zeros((1, 0), dtype=np.int64)
+        decide(self.scenes, np.arange(1), nobody, HZ * seconds, float(seconds))
 
-def advance(ours: Episodes, seconds: int) -> None:
-    """Advances without vehicles that come and go."""
-    nobody = np.zeros((1, 0), dtype=np.int64)
-    decide(ours.scenes, ours.everyone, nobody, HZ * seconds, float(seconds))
+    @property
+    def present(self) -> list[Any]:
+        """The vehicles in highway-env's order."""
+        order = self.scenes.order["place"][0]
+        return [each for each in self.scenes.vehicles[0, order] if each["kind"] > OBSTACLE]
 
 
 def stock_network(edges: Any) -> Any:
@@ -126,19 +139,15 @@ def _stock_lane(lane: Lane) -> Any:
     return found
 
 
-def stock_road(ours: Episodes, network: Any, names: list[Any]) -> Any:
+def stock_road(ours: OwnRoad, network: Any, names: list[Any]) -> Any:
     """highway-env's road with the same vehicles."""
     kind: Any = import_module("highway_env.vehicle.behavior").IDMVehicle
-    regulation: Any = import_module("highway_env.road.regulation")
-    general: Any = import_module("highway_env.road.road")
-    regulated = bool(ours.task.regulation_steps)
-    road = (regulation.RegulatedRoad if regulated else general.Road)(
-        network,
-        np_random=np.random.RandomState(0),
-        neighbour_vehicles_connected_lanes=bool(ours.config["neighbour_vehicles_connected_lanes"]),
+    module: Any = import_module("highway_env.road.road")
+    road = module.Road(
+        network, np_random=np.random.RandomState(0), neighbour_vehicles_connected_lanes=True
     )
     forwards = type("ForwardIDMVehicle", (kind,), {"MIN_SPEED": 0.0})
-    for row in _present(ours):
+    for row in ours.present:
         vehicle = forwards(
             road,
             [float(row["x"]), float(row["y"])],
@@ -156,41 +165,14 @@ def stock_road(ours: Episodes, network: Any, names: list[Any]) -> Any:
 def advance_stock(road: Any, steps: int) -> None:
     """Advances highway-env's road by so many simulation steps."""
     for _ in range(steps):
-        for vehicle in road.vehicles:
-            if not vehicle.crashed and not getattr(vehicle, "is_yielding", False):
-                vehicle.target_speed = _speed_ahead(vehicle)
         road.act()
         road.step(1 / HZ)
 
 
-def _speed_ahead(vehicle: Any) -> float:
-    """See `looking_ahead.speed_ahead`."""
-    network, (start_node, end_node, number) = vehicle.road.network, vehicle.lane_index
-    own = network.get_lane(vehicle.lane_index)
-    speed = float(own.speed_limit)
-    distance = own.length - own.local_coordinates(vehicle.position)[0]
-    for one, other, given in vehicle.route or ():
-        if (one, other) == (start_node, end_node):
-            continue
-        if distance > HORIZON_M:
-            break
-        lanes = network.graph[one][other]
-        number = min(number if given is None else given, len(lanes) - 1)
-        limit = lanes[number].speed_limit
-        speed = min(speed, math.sqrt(limit * limit + 2 * BRAKING_MPS2 * max(distance, 0.0)))
-        distance += lanes[number].length
-    return speed
-
-
-def _present(ours: Episodes) -> list[Any]:
-    order = ours.scenes.order["place"][0]
-    return [each for each in ours.scenes.vehicles[0, order] if each["kind"] > OBSTACLE]
-
-
-def _apart(stock: Any, ours: Episodes, names: list[Any]) -> tuple[float, str]:
+def _apart(stock: Any, ours: OwnRoad, names: list[Any]) -> tuple[float, str]:
     """The largest difference now, and of what."""
     pairs: dict[str, tuple[Any, Any]] = {}
-    for k, (row, theirs) in enumerate(zip(_present(ours), stock.vehicles, strict=True)):
+    for k, (row, theirs) in enumerate(zip(ours.present, stock.vehicles, strict=True)):
         values = {**vars(theirs), **theirs.action}
         values |= dict(zip("xy", theirs.position, strict=True))
         numbers = [each for each in NUMBERS if each in values]
@@ -199,7 +181,6 @@ def _apart(stock: Any, ours: Episodes, names: list[Any]) -> tuple[float, str]:
             "lane": names[row["lane"]] == theirs.lane_index,
             "target lane": names[row["target_lane"]] == theirs.target_lane_index,
             "crashed": row["crashed"] == theirs.crashed,
-            "yielding": row["is_yielding"] == getattr(theirs, "is_yielding", False),
             "route": route_of(row, names) == [tuple(each) for each in theirs.route or ()],
         }
         pairs |= {f"{what} of vehicle {k}": (0.0, 0.0 if same[what] else np.inf) for what in same}
@@ -211,18 +192,18 @@ def _apart(stock: Any, ours: Episodes, names: list[Any]) -> tuple[float, str]:
 
 def speed_ratio(path: Path, vehicles: int, seconds: int, seed: int = 0) -> tuple[float, float]:
     """The seconds that a run and highway-env take for the same work, on one thread."""
-    ours = episodes_of_map(path, vehicles)
+    ours = OwnRoad(path, vehicles)
     road = NamedRoad.model_validate({"file": path})
     network = stock_network(driven_lanes(map_of(path, str(road.sha256))))
-    start(ours, seed)
+    ours.start(seed)
     stock = stock_road(ours, network, [*network.lanes_dict()])
     before = perf_counter()
     advance_stock(stock, HZ * seconds)
     theirs = perf_counter() - before
     took = []
     for _ in range(10):
-        start(ours, seed)
+        ours.start(seed)
         before = perf_counter()
-        advance(ours, seconds)
+        ours.advance(seconds)
         took.append(perf_counter() - before)
     return min(took), theirs

@@ -18,6 +18,7 @@ CONTROL_CODES = r"[\x00-\x08\x0b-\x1f\x7f-\x9f]"
 ELSEWHERE = {
     "your-policy.md": "tests/agents/test_your_policy.py",
     "plugins.md": "tests/docs/test_plugin_guide.py",
+    "bring-your-own-road.md": "tests/docs/test_own_road_page.py",
     "environments.md": "tests/agents/test_self_play.py",
     "running.md": "tests/runs/test_cluster.py",
     "reproduction.md": "tests/runs/test_released_suites.py",

@@ -1,0 +1,39 @@
+"""Vehicles drive on maps as highway-env's own classes do on the same lanes, bit for bit."""
+
+from pathlib import Path
+
+import pytest
+
+from charms_bench.testing.map_parity import verify_map
+from charms_bench.testing.road_parity import Comparison
+
+MAPS = Path(__file__).parents[3] / "shared" / "data" / "maps"
+PLACES = Path(__file__).parents[2] / "suites" / "places"
+SOME = (
+    "opendrive/carla_town01.xodr",
+    "opendrive/carla_town04.xodr",
+    "opendrive/esmini_curves.xodr",
+    "opendrive/esmini_e6mini.xodr",
+    "opendrive/esmini_fabriksgatan.xodr",
+    "opendrive/esmini_multi_intersections.xodr",
+    "sumo/cloverleaf.net.xml",
+    "sumo/crossing_4lane.net.xml",
+    "sumo/mcity.net.xml",
+    "sumo/merge_3lane.net.xml",
+    "sumo/roundabout_2lane.net.xml",
+    "commonroad/DEU_A9-3_1_T-1.xml",
+)
+"""Motorways, ramps, towns and a roundabout, in three formats."""
+
+
+def test_a_roundabout_of_polylines_and_arcs_is_that_of_highway_env() -> None:
+    found = sum(verify_map(PLACES / "roundabout.json", 1, seconds=5, workers=1), Comparison(""))
+    assert (found.decisions, found.differing, found.largest) == (5, [], 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not MAPS.is_dir(), reason="needs ../shared/data/maps, road maps")
+@pytest.mark.parametrize("name", SOME)
+def test_100_episodes_on_a_map_are_those_of_highway_env(name: str) -> None:
+    found = sum(verify_map(MAPS / name, 100), Comparison(name))
+    assert (found.episodes, found.differing, found.largest) == (100, [], 0.0)
