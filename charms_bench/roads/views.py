@@ -1,5 +1,7 @@
 """What each vehicle on a network sees along its own way; see `engine.views`."""
 
+from typing import Any
+
 import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION
@@ -78,7 +80,7 @@ def follow_all(scenes: Scenes, ways: Ways, rows: Ints) -> None:
 
 
 @compiled_of_scenes
-def see_themselves(scenes: Scenes, own: Scene, ways: Ways, rows: Ints) -> None:
+def see_themselves(scenes: Scenes, own: Any, ways: Ways, rows: Ints) -> None:
     """Fills in each vehicle of the scenes `rows` as it sees itself."""
     scene = own.scene
     for b in rows:
@@ -91,7 +93,7 @@ def see_themselves(scenes: Scenes, own: Scene, ways: Ways, rows: Ints) -> None:
 
 
 @compiled_of_scenes
-def see_scenes(scenes: Scenes, seen: Scene, ways: Ways, rows: Ints, places: Ints) -> None:
+def see_scenes(scenes: Scenes, seen: Any, ways: Ways, rows: Ints, places: Ints) -> None:
     """Fills in scenes as M vehicles see them."""
     view = seen.scene
     for m in range(rows.size):

@@ -63,7 +63,8 @@ def road_replay(folder: Path) -> Values:
     suite = load_suite(PROJECT / "suites" / "roads-traffic.yaml")
     entries = {"egos": suite.egos[1:2], "roads": suite.roads[:1], "traffics": suite.traffics[2:]}
     entries |= {"episodes": 2}
-    return trajectories(replay(looked_at(suite.model_copy(update=entries), folder), [0, 1]))
+    found = trajectories(replay(looked_at(suite.model_copy(update=entries), folder), [0, 1]))
+    return {name: value for name, value in found.items() if name not in ("lane", "target_lane")}
 
 
 @case("what-if")
