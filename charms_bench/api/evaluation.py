@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from charms_bench.api.arguments import PathLike, asked, check_positive, ego_entry, evaluation_in
 from charms_bench.api.results import Run
@@ -18,11 +18,15 @@ from charms_bench.runs.cells import CellRows
 from charms_bench.runs.lock import locked
 from charms_bench.runs.resumable_folder import RunFolder
 from charms_bench.runs.runner import SHARD_LIMIT_S
-from charms_bench.runs.suite import Suite, suite_of
+from charms_bench.runs.shard import engine_on
+from charms_bench.runs.suite import Suite, Surroundings, TrafficEntry, suite_of
+from charms_bench.runs.suite_roads import RoadEntry
 
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation
     from charms_bench.report.run_files import MeasuredCell
+
+Entry = TypeVar("Entry", RoadEntry, TrafficEntry)
 
 
 def run(
@@ -119,10 +123,13 @@ def run(
     return Run(finished, loaded.folder)
 
 
-def cell_of(suite: PathLike, agent: str, traffic: str | None) -> "tuple[Simulation, str, int]":
+def cell_of(
+    suite: PathLike, agent: str, traffic: str | None, road: str | None = None
+) -> "tuple[Simulation, str, int]":
     """One scene of a suite with an agent as the ego, its title, and the suite's first seed.
 
-    `traffic` is the label of one of the suite's traffic models; None is the only one.
+    `traffic` and `road` are the labels of one of the suite's traffic models and of one of its
+    roads; None is the only one.
 
     Raises:
         CharmsBenchError: The suite, the agent or the label cannot be used.
@@ -134,22 +141,30 @@ def cell_of(suite: PathLike, agent: str, traffic: str | None) -> "tuple[Simulati
     for name in ("preventable_by", "pairs", "references"):  # of the egos of the suite
         document.data.pop(name, None)
     loaded = suite_of(document)
-    found = {cell.traffic.title: cell for cell in loaded.cells}
-    if traffic is None and len(found) > 1:
-        what = f"{len(found)} traffic models; choose one with --traffic"
-        raise InputError(f"{suite}: {what}. {suggestion('', found)}")
-    if traffic is not None and traffic not in found:
-        raise InputError(f"{suite}: no traffic model '{traffic}'. {suggestion(traffic, found)}")
-    cell = found[traffic] if traffic is not None else next(iter(found.values()))
-    if cell.scene.network is not None:
-        raise InputError(
-            f"{suite}: an episode is watched on the straight road, not the road "
-            f"'{cell.scene.network}'; `charms-bench replay` draws the episodes of a run there"
-        )
+    if road is not None and not loaded.roads:
+        raise InputError(f"{suite}: has no `roads`; remove --road")
+    chosen = _one_of(suite, "traffic model", "--traffic", loaded.traffics, traffic)
+    on = _one_of(suite, "road", "--road", loaded.roads, road) if loaded.roads else None
+    around_ego = Surroundings(on, chosen)
+    cell = next(each for each in loaded.cells if each.surroundings == around_ego)
     ego, around = cell.ego.agent, cell.traffic.traffic.make()
     networks = networks_of(ego, around, loaded.folder)
     agents = {each.key: each.make(networks) for each in drivers_of(ego, around)}
-    return Simulation(cell.scene, 1, ego.key, around, agents), cell.title, loaded.seed
+    engine = engine_on(cell.scene)
+    return Simulation(cell.scene, 1, ego.key, around, agents, engine), cell.title, loaded.seed
+
+
+def _one_of(
+    suite: PathLike, what: str, option: str, entries: Sequence[Entry], title: str | None
+) -> Entry:
+    """The entry of a suite with a title, or its only one."""
+    found = {each.title: each for each in entries}
+    if title is None and len(found) > 1:
+        choose = f"{len(found)} {what}s; choose one with {option}"
+        raise InputError(f"{suite}: {choose}. {suggestion('', found)}")
+    if title is not None and title not in found:
+        raise InputError(f"{suite}: no {what} '{title}'. {suggestion(title, found)}")
+    return found[title] if title is not None else entries[0]
 
 
 def _measure(suite: Suite, rows: CellRows) -> "MeasuredCell":

@@ -1,8 +1,9 @@
 """`verify`, `bench` and `warm-up`: the compiled engine beside highway-env."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -59,11 +60,13 @@ def verify(
     from charms_bench.runs.document import Document
     from charms_bench.runs.suite import check_networks, suite_of
     from charms_bench.testing import verify as verification
+    from charms_bench.testing.road_parity import roads_of
 
     if road is not None:
         if suite is not None or continuous:
             raise InputError("--road excludes --suite and --continuous")
-        _verify_road(_known(road), episodes or 20, seed, starts, workers, as_json)
+        roads = [(road, _known(road), None)]
+        _verify_roads(roads, episodes or 20, seed, starts, workers, as_json)
     if starts:
         raise InputError("--starts needs --road")
     if suite is None:
@@ -74,6 +77,8 @@ def verify(
         document = Document(suite)
         loaded = suite_of(document)
         check_networks(document, loaded)
+        if loaded.roads:
+            _verify_roads(roads_of(loaded), episodes or 20, seed, starts, workers, as_json)
         cases, count = verification.cases_of(loaded), 10
     count = episodes or count
     charms_bench.warm_up()
@@ -101,25 +106,38 @@ def verify(
     raise typer.Exit(code)
 
 
-def _verify_road(
-    road: str, episodes: int, seed: int, starts: bool, workers: int | None, as_json: bool
+def _verify_roads(
+    roads: Sequence[tuple[str, str, Mapping[str, Any] | None]],
+    episodes: int,
+    seed: int,
+    starts: bool,
+    workers: int | None,
+    as_json: bool,
 ) -> NoReturn:
+    """Compares roads, given by their titles, highway-env's names and configurations."""
     from charms_bench.report.progress import progress
     from charms_bench.testing.road_parity import MOST_DECISIONS, verify_road
 
     decisions = 0 if starts else MOST_DECISIONS
-    with progress("episodes", episodes) as bar:
-        found = verify_road(
-            road, episodes, seed, workers, lambda done: bar("", done), decisions=decisions
-        )
-    records = [{**asdict(found), "differing": len(found.differing)}]
-    code = FAIL if found.differing else 0
+    with progress("episodes", episodes * len(roads)) as bar:
+        results = {
+            title: verify_road(
+                name, episodes, seed, workers, lambda done: bar("", done), config, decisions
+            )
+            for title, name, config in roads
+        }
+    records = [
+        {**asdict(found), "name": title, "differing": len(found.differing)}
+        for title, found in results.items()
+    ]
+    code = FAIL if any(found.differing for found in results.values()) else 0
     if as_json:
         end_with_json(records, code)
     forms = dict.fromkeys(("episodes", "decisions", "crashed", "differing"), ",.0f")
     print_records("name", records, forms | {"largest": ".1e", "largest_at_start": ".1e"})
-    for each in found.differing:
-        say(each)
+    for title, found in results.items():
+        for each in found.differing:
+            say(f"{title}: {each}" if len(roads) > 1 else each)
     raise typer.Exit(code)
 
 

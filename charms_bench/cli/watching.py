@@ -29,6 +29,9 @@ def watch(
         help="Traffic model, or an agent that drives all other vehicles; the default is "
         "idm_mobil. With --suite, the label of one of its traffic models.",
     ),
+    road: str | None = typer.Option(
+        None, help="With --suite, the label of one of its roads; the default is its only one."
+    ),
     suite: Path | None = typer.Option(
         None, help="Suite whose scene and traffic models to use: a YAML file or a name."
     ),
@@ -52,7 +55,9 @@ def watch(
 
     charms_bench.warm_up()
     if suite is not None:
-        simulation, title, first = cell_of(suite, agent, traffic)
+        simulation, title, first = cell_of(suite, agent, traffic, road)
+    elif road is not None:
+        raise InputError("--road needs --suite, a suite with `roads`")
     else:
         around = traffic or "idm_mobil"
         simulation, title, first = plain(agent, around), f"{agent} in {around}", 0
@@ -74,6 +79,7 @@ ENDED = {
     "rear_end": "ended with a rear-end collision",
     "side": "ended with a side collision",
     "off_road": "left the road",
+    "goal": "reached its goal",
 }
 
 

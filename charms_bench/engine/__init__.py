@@ -16,7 +16,7 @@ processor, NumPy, OpenBLAS and the C library.
 
 from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions, MetaAction
 from charms_bench.world.plan import Plan
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
+
+if TYPE_CHECKING:
+    from charms_bench.engine.state import SceneState
 
 EngineName = Literal["batched", "highway-env"]
 ENGINES: tuple[EngineName, ...] = ("batched", "highway-env")
@@ -71,6 +74,9 @@ class Engine(Protocol):
 
         The straight road has nothing.
         """
+
+    def check(self, state: "SceneState") -> None:
+        """Raises an `InputError` if a state of these settings holds what no scene of a road can."""
 
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None

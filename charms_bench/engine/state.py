@@ -249,6 +249,7 @@ def restore(
             f"the state was saved {state.phase} simulation steps after a decision; the other "
             f"scenes are {simulation.phase} steps after theirs, and all scenes decide together"
         )
+    simulation.engine.check(state)
     index = _agents_in(simulation, state)
     simulation.phase = state.phase
     for name, array in {**state.arrays(), "drivers": index[state.drivers]}.items():

@@ -21,10 +21,13 @@ from charms_bench.errors import InputError, first_problem
 from charms_bench.foundation.files import json_of, read_limited, write_bytes
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
 from charms_bench.world.actions import ACTIONS_LIMIT, STEPS_LIMIT
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scene import SceneSettings
 
 FORMAT, VERSION = "charms-bench scene state", 6
 LIMIT_BYTES = 2**28
+LANES = 1_000_000
+"""Bound of the number of lanes of a road."""
 ENTRIES = 100_000
 """Bound of the number of vehicles that have entered a scene."""
 _LARGEST = 1e9
@@ -59,14 +62,16 @@ def save_state(state: SceneState, path: str | Path) -> None:
         raise InputError(f"{path}: a state of a scenario stays in memory; expected drawn traffic")
     if state.settings.recording is not None:
         raise InputError(f"{path}: a state of a recorded scene stays in memory")
-    if state.settings.network is not None:
-        raise InputError(f"{path}: a state on one of highway-env's roads stays in memory")
-    fields = {
+    road = state.settings.network
+    fields: dict[str, Any] = {
         "settings": state.settings.model_dump(mode="json"),
         "agents": state.agents,
         "phase": state.phase,
         **{name: getattr(state, name).tolist() for name in OF_SCENE},
     }
+    if road is not None:
+        fields["road"] = road.model_dump(mode="json")
+        fields["network"] = [each.tobytes().hex() for each in state.network]
     lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in fields.items())
     body = (",\n".join(lines) + "}\n").encode()
     write_bytes(Path(path), _first_line(body) + body)
@@ -122,10 +127,17 @@ def _check_file(found: Any, data: bytes) -> None:
 
 def _state_of(found: dict[str, Any]) -> SceneState:
     known = {"format", "version", "sha256", "settings", "agents", "phase", *OF_SCENE}
+    known |= {"road", "network"} if {"road", "network"} & found.keys() else set()
     for name in sorted(known ^ found.keys()):
         raise InputError(f"{name}: {'is missing' if name in known else 'unknown field'}")
+    given, on_road = found["settings"], {}
+    if "road" in found and isinstance(given, dict):  # which can have a single lane
+        on_road = {"network": _road_of(found["road"]), "lanes": given.get("lanes")}
+        given = {name: value for name, value in given.items() if name != "lanes"}
+        if type(on_road["lanes"]) is not int or not 1 <= on_road["lanes"] <= LANES:
+            raise InputError(f"settings.lanes: expected 1 to {LANES:,}")
     try:
-        settings = SceneSettings.model_validate(found["settings"])
+        settings = SceneSettings.model_validate(given).model_copy(update=on_road)
     except ValidationError as error:
         location, what = first_problem(error)
         raise InputError(f"{'.'.join(map(str, ('settings', *location)))}: {what}") from error
@@ -137,10 +149,27 @@ def _state_of(found: dict[str, Any]) -> SceneState:
     if type(phase) is not int:
         raise InputError(f"phase: found {phase!r}, expected an integer")
     arrays = {name: _array_of(name, found[name]) for name in OF_SCENE}
-    network = np.zeros((arrays["seeds"].size, 0), dtype=np.uint8)
+    network = _network_of(found.get("network", [""] * arrays["seeds"].size))
     state = SceneState(settings, tuple(agents), phase, **arrays, network=network)
     check_state(state)
     return state
+
+
+def _road_of(value: Any) -> NamedRoad:
+    try:
+        return NamedRoad.model_validate(value)
+    except ValidationError as error:
+        location, what = first_problem(error)
+        raise InputError(f"{'.'.join(map(str, ('road', *location)))}: {what}") from error
+
+
+def _network_of(value: Any) -> NDArray[np.uint8]:
+    """The bytes of scenes, which the engine of their road checks before it continues them."""
+    try:
+        rows = [np.frombuffer(bytes.fromhex(each), dtype=np.uint8) for each in value]
+        return np.stack(rows) if rows else np.zeros((0, 0), dtype=np.uint8)
+    except (TypeError, ValueError) as error:
+        raise InputError("network: expected one hexadecimal text per scene, all as long") from error
 
 
 def _array_of(name: str, value: Any) -> NDArray[Any]:
@@ -183,6 +212,8 @@ def check_state(state: SceneState) -> None:
         shape = (scenes, 6) if name == "generator" else shape
         if array.shape != shape:
             raise InputError(f"{name}: found the shape {array.shape}, expected {shape}")
+    if state.network.shape[:1] != (scenes,):
+        raise InputError(f"network: found {len(state.network)} scenes, expected {scenes}")
     bounds: dict[str, tuple[float, float]] = {
         **({} if settings.network else _bounds_of_straight_roads(settings)),
         "phase": (0, settings.steps_per_decision),

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.meta_actions import command, command_rule, nearest_target_speed, obey
 from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.shown import Shown
-from charms_bench.engine.state import ARRAYS
+from charms_bench.engine.state import ARRAYS, SceneState
 from charms_bench.engine.stepping import BeforeMove
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
@@ -72,6 +72,13 @@ _COLUMNS["impact"] = "has_impact"
 """The columns of the table of vehicles that are arrays of a `Scene`."""
 _NETWORK_ONLY = [name for name in VEHICLE.names or () if name not in (*ARRAYS, "has_impact")]
 """The other columns that are no arrays of a `SceneState`."""
+_KEPT = (
+    *(*_NETWORK_ONLY, "order", "time", "steps", "entries", "goals"),
+    *(f"{name} of ways" for name in Ways._fields),
+)
+"""The names of `RoadEngine._kept`."""
+_LARGEST = 1e9
+"""Bound of all numbers of a state, so that nothing overflows."""
 BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS = range(4)
 """What drives a vehicle: highway-env's environment, target speeds and lanes, a driver model, or
 continuous actions."""
@@ -260,19 +267,42 @@ class RoadEngine(Shown):
         each = [array.reshape(rows.size, math.prod(array.shape[1:])) for array in kept]
         return np.concatenate([array.view(np.uint8) for array in each], axis=1)
 
+    def check(self, state: SceneState) -> None:
+        expected = sum(array[0].size * packed(array.dtype).itemsize for array in self._kept)
+        if state.network.shape[1] != expected:
+            found = state.network.shape[1]
+            raise InputError(f"network: found {found} bytes per scene, expected {expected}")
+        places, scenes = self._seen.x.shape[1], self.episodes.scenes
+        lane = 0, scenes.road.lanes.size - 1
+        step, place, any_lane = (0, ROUTE_STEPS), (-1, places - 1), (-1, lane[1])
+        bounds = {
+            "kind": (0, len(KINDS) - 1),
+            "speed_index": (0, max(scenes.target_speeds.size, 1) - 1),
+            "lane": lane,
+            **dict.fromkeys(("route_step", "route_end", "steps of ways"), step),
+            **dict.fromkeys(("route_roads", "route_numbers", "lanes of ways"), any_lane),
+            "entries.vehicle": place,
+            "entries.follower": place,
+            "entries.lane": any_lane,
+            "order.place": (0, places - 1),
+            "open_lanes of ways": (0, lane[1] + 1),
+        }
+        for name, part in self._parts(state.network).items():
+            for field in part.dtype.names or ("",):
+                named = f"{name}.{field}" if field else name
+                _check_values(named, part[field] if field else part, bounds.get(named))
+        if not ((lane[0] <= state.target_lane) & (state.target_lane <= lane[1])).all():
+            raise InputError(f"target_lane: expected lanes from 0 to {lane[1]}")
+        order = self._parts(state.network)["order"]["place"]
+        if (np.sort(order, axis=1) != np.arange(places)).any():
+            raise InputError("network: order.place: expected each place once")
+
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
         assert saved is not None
-        sizes = [array[0].size * packed(array.dtype).itemsize for array in self._kept]
-        if saved.shape != (rows.size, sum(sizes)):
-            expected = rows.size, sum(sizes)
-            raise InputError(f"network: found the shape {saved.shape}, expected {expected}")
-        parts = np.split(saved, np.cumsum(sizes)[:-1], axis=1)
-        for array, part in zip(self._kept, parts, strict=True):
-            own = np.ascontiguousarray(part).view(packed(array.dtype))
-            array[rows] = own.reshape(rows.size, *array.shape[1:])
-        self._check(rows)
+        for array, part in zip(self._kept, self._parts(saved).values(), strict=True):
+            array[rows] = part
         self._fault.start(rows)
         vehicles = self.episodes.scenes.vehicles
         had_targets = vehicles["kind"][rows] != CONTINUOUS
@@ -284,22 +314,15 @@ class RoadEngine(Shown):
         vehicles["target_speed"][rows] = target_speed
         self._show(rows)
 
-    def _check(self, rows: Ints) -> None:
-        """Raises an `InputError` if a state has lanes, places or routes that the road has not."""
-        scenes, ways = self.episodes.scenes, self._ways
-        vehicles, lanes = scenes.vehicles[rows], scenes.road.lanes.size
-        values = {name: vehicles[name] for name in ("kind", "lane", "target_lane", "route_roads")}
-        values |= {name: vehicles[name] for name in ("route_numbers", "route_step", "route_end")}
-        values |= {"speed_index": vehicles["speed_index"], "ways": ways.lanes[rows]}
-        values |= {"order": scenes.order["place"][rows]}
-        most = {"kind": len(KINDS), "order": vehicles.shape[1]}
-        most |= dict.fromkeys(("route_step", "route_end"), ROUTE_STEPS + 1)
-        most["speed_index"] = max(scenes.target_speeds.size, 1)
-        for name, found in values.items():
-            least = -1 if name in ("route_numbers", "ways") else 0
-            beyond = most.get(name, lanes)
-            if ((found < least) | (found >= beyond)).any():
-                raise InputError(f"network: {name}: expected {least} to {beyond - 1}")
+    def _parts(self, saved: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+        """What was `saved` of S scenes, [S, ...] by name, in the order of `_kept`."""
+        parts, start = {}, 0
+        for name, array in zip(_KEPT, self._kept, strict=True):
+            kind = packed(array.dtype)
+            end = start + array[0].size * kind.itemsize
+            part = np.ascontiguousarray(saved[:, start:end]).view(kind)
+            parts[name], start = part.reshape(len(saved), *array.shape[1:]), end
+        return parts
 
     @property
     def _kept(self) -> tuple[NDArray[Any], ...]:
@@ -480,6 +503,19 @@ def decides_lane(here: Here, vehicle: Row) -> bool:
         return True
     row = lane_of(here, vehicle.lane)
     return bool(row.forbidden and row.lanes > 1)
+
+
+def _check_values(name: str, values: NDArray[Any], bounds: tuple[float, float] | None) -> None:
+    """Refuses what compiled code must not meet; only the measures of an entry can be missing."""
+    if values.dtype.kind == "b":
+        valid = values.view(np.uint8) <= 1
+    else:
+        low, high = bounds or (-_LARGEST, _LARGEST)
+        valid = (low <= values) & (values <= high)
+        valid |= name.startswith("entries.") & np.isnan(values)
+    if not valid.all():
+        what = f"{bounds[0]} to {bounds[1]}" if bounds else "finite numbers"
+        raise InputError(f"network: {name}: found {values[~valid][0]}, expected {what}")
 
 
 def packed(kind: np.dtype[Any]) -> np.dtype[Any]:

@@ -11,6 +11,7 @@ import numpy as np
 from charms_bench.roads.controls import Controls
 from charms_bench.roads.episodes import Decision, Episodes
 from charms_bench.roads.scenes import OBSTACLE
+from charms_bench.runs.suite import Suite
 from charms_bench.testing.chunks import in_chunks
 from charms_bench.testing.stock_roads import unchanged_idm
 
@@ -52,6 +53,21 @@ class Comparison:
             for name in ("largest", "largest_at_start")
         }
         return Comparison(self.name, **sums, **largest)
+
+
+def roads_of(suite: Suite) -> list[tuple[str, str, Mapping[str, Any]]]:
+    """The title, highway-env's name and the configuration of each road of a suite.
+
+    The simulation rate is the suite's. The agents of a suite drive these roads in the engine that
+    is compared; highway-env cannot ask them.
+    """
+    rate = {"simulation_frequency": suite.scene.simulation_hz}
+    networks = {cell.road.title: cell.scene.network for cell in suite.cells if cell.road}
+    return [
+        (title, network.name, {**(network.configuration or {}), **rate})
+        for title, network in networks.items()
+        if network is not None
+    ]
 
 
 def verify_road(

@@ -30,10 +30,25 @@ def test_a_network_can_be_watched(network_file: object, tmp_path: Path) -> None:
     assert f"{path} in level_0, episode 0" in result.stdout.splitlines()[0]
 
 
+def test_an_episode_on_a_road_is_watched_along_the_egos_way(tmp_path: Path) -> None:
+    (tmp_path / "suite.yaml").write_text(
+        "suite: small\nepisodes: 1\negos: [{agent: idm_mobil}]\n"
+        "roads: [{name: merge-v0, duration_s: 2.0}, u-turn-v0]\n"
+    )
+    command = ("watch", "stackelberg", "--suite", "suite.yaml")
+    result = charms_bench(*command, "--road", "merge-v0", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "stackelberg in merge-v0, episode 0, 1.0 s" in result.stdout
+    assert result.stdout.splitlines()[-1].endswith("drove until the time was over")
+    several = charms_bench(*command, cwd=tmp_path)
+    assert (several.returncode, "2 roads; choose one with --road" in several.stderr) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("nobody",), "no agent named 'nobody'"),
+        (("level_0", "--road", "merge-v0"), "--road needs --suite, a suite with `roads`"),
         (("level_0", "--traffic", "nobody"), "no traffic named 'nobody'"),
     ],
 )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from charms_bench import Policy, save_state
+from charms_bench import Policy, load_state, save_state
 from charms_bench.engine.endings import ENDINGS, GOAL
 from charms_bench.engine.rollouts import Futures
 from charms_bench.engine.simulation import Simulation
@@ -350,11 +350,35 @@ def test_a_state_can_be_that_of_no_scene() -> None:
     assert state.network.shape[1] == made.state().network.shape[1]
 
 
-def test_a_state_is_not_saved_to_a_file(tmp_path: Path) -> None:
+@pytest.mark.parametrize("road", ["merge-v1", "roundabout-v1", "intersection-v1", "exit-v0"])
+def test_branches_of_saved_states_continue_exactly(road: str, tmp_path: Path) -> None:
+    made = simulation(road, "charms", 5, Mixture({"human": 0.5, "charms": 0.5}))
+    for _ in range(4):
+        made.step()
+    made.advance()
+    save_state(made.state(), tmp_path / "state.json")
+    state = load_state(tmp_path / "state.json")
+    assert state == made.state()
+    branches = simulation(road, "charms", 20, Mixture({"human": 0.5, "charms": 0.5}))
+    branches.restore(state.take(np.repeat(np.arange(5), 4)))
+    while made.scene.active.any():
+        made.step()
+        branches.step()
+    assert branches.state() == made.state().take(np.repeat(np.arange(5), 4))
+
+
+@pytest.mark.parametrize("column", ["lane", "route_roads", "order", "lanes of ways", "kind"])
+def test_a_state_with_an_impossible_index_is_rejected(column: str) -> None:
     made = simulation("merge-v0", "idm_mobil", 1)
-    with pytest.raises(InputError, match="a state on one of highway-env's roads stays in memory"):
-        save_state(made.state(), tmp_path / "state.json")
-    assert not any(tmp_path.iterdir())
+    assert isinstance(made.engine, RoadEngine)
+    state = made.state()
+    parts = made.engine._parts(state.network)
+    start = sum(each.nbytes for each in [*parts.values()][: [*parts].index(column)])
+    wrong = state.network.copy()
+    wrong[0, start : start + 8] = np.frombuffer(np.int64(10_000).tobytes(), np.uint8)
+    with pytest.raises(InputError, match=r"network: .*found 10000, expected"):
+        made.restore(state.with_arrays({"network": wrong}))
+    assert made.state() == state
 
 
 def test_the_traffic_of_the_environment_is_driven_by_no_agent() -> None:

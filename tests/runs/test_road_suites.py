@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import polars as pl
 import pytest
+from command_line import charms_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -34,7 +35,6 @@ from charms_bench.roads.settings import on_road
 from charms_bench.runs.likeness import standard
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite, load_suite
-from charms_bench.testing.verify import cases_of
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.road import local_coordinates
 from charms_bench.world.scene import SceneSettings
@@ -147,7 +147,6 @@ def test_a_planner_takes_over_in_a_recorded_episode(made: Any) -> None:
     "describe_as_straight",
     [
         lambda made, path: made.dataset("highd", output=path, **BEND),
-        lambda made, path: cases_of(made.suite),
         lambda made, path: standard(made.suite, path, read_population("i75")),
     ],
 )
@@ -156,6 +155,16 @@ def test_what_knows_only_the_straight_road_rejects_others(
 ) -> None:
     with pytest.raises(InputError, match=r"straight road, not the road '(merge-v0|u-turn-v1)'"):
         describe_as_straight(made, tmp_path / "new")
+
+
+def test_the_roads_of_a_suite_are_compared_with_highway_env(made: Any) -> None:
+    suite = made.path.parent / "roads.yaml"
+    done = charms_bench("verify", "--suite", suite, "--episodes", 2, "--workers", 1, "--json")
+    assert done.returncode == 0, done.stderr
+    found = {row["name"]: row for row in json.loads(done.stdout)}
+    assert [*found] == ["merge-v0", "Bend"]
+    for row in found.values():
+        assert (row["episodes"], row["differing"], row["largest"]) == (2, 0, 0.0)
 
 
 def test_rows_do_not_depend_on_the_number_of_workers(made: Any, tmp_path: Path) -> None:

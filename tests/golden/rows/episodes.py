@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import yaml
 from rows.case import Cases, Values, adding_to
 from rows.cells import PROJECT, SUITES
@@ -63,7 +64,12 @@ def road_replay(folder: Path) -> Values:
     suite = load_suite(PROJECT / "suites" / "roads-traffic.yaml")
     entries = {"egos": suite.egos[1:2], "roads": suite.roads[:1], "traffics": suite.traffics[2:]}
     entries |= {"episodes": 2}
-    return trajectories(replay(looked_at(suite.model_copy(update=entries), folder), [0, 1]))
+    replays = replay(looked_at(suite.model_copy(update=entries), folder), [0, 1])
+    rows = pl.concat(each.trajectories() for each in replays)
+    assert not rows["lane"].null_count()  # lanes were null when the rows were recorded
+    empty = hash_of(pl.Series([None] * replays[0].trajectories().height, dtype=pl.Int8))
+    empty += hash_of(pl.Series([None] * replays[1].trajectories().height, dtype=pl.Int8))
+    return trajectories(replays) | dict.fromkeys(("lane", "target_lane"), empty)
 
 
 @case("what-if")
