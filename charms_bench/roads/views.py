@@ -66,7 +66,8 @@ class RoadViews:
         return self._own
 
     def see(self, vehicles: Vehicles, seen: Any) -> None:
-        see_scenes(self._scenes, self._seen.unpacked, self._ways, *vehicles, seen)
+        rows, places = vehicles
+        see_scenes(self._scenes, self._seen.unpacked, self._ways, rows, places, seen)
 
 
 @compiled_of_scenes
