@@ -63,27 +63,19 @@ class DriverSums:
             for met in (state["near"], state["cutter"], self._new_followers[scene]):
                 met[met == place] = NOBODY
 
-    def add(self, frames: Frames, at_fault: Bools, changes: bool = False) -> None:
+    def add(self, frames: Frames, at_fault: Bools, changes: bool = False, seen: Any = None) -> None:
         """Adds the decision intervals that end in some frames.
 
         `at_fault` [B, N] is whether the vehicles that have collided were at fault, and `changes`
-        whether vehicles or their drivers can have changed.
+        whether vehicles or their drivers can have changed. `seen` are the vehicles as those see
+        them that the moments are of, by default as the frames have them.
         """
         if changes:
             self.find_drivers()
-        self._note(frames, frames.vehicles, (0, at_fault.shape[1]), at_fault)
-
-    def add_seen(self, frames: Frames, seen: Any, place: int, at_fault: Bools) -> None:
-        """Adds what the vehicles at a place do, who see their scenes as the frames `seen`.
-
-        `frames` have all vehicles as each of them sees itself. See `add`.
-        """
-        self._note(frames, seen, (place, place + 1), at_fault)
-
-    def _note(self, frames: Frames, seen: Any, some: Some, at_fault: Bools) -> None:
+        seen = frames.vehicles if seen is None else seen
         sums = self._state, self._new_followers, self._sums
         road, interval_s = self._simulation.scene.road, self._interval_s
-        note_drivers(road, *frames, seen, some, at_fault, interval_s, self._drivers, *sums)
+        note_drivers(road, *frames, seen, at_fault, interval_s, self._drivers, *sums)
 
     def find_drivers(self) -> None:
         """Notes who drives which vehicle, and counts each vehicle once for each of its drivers."""
@@ -117,7 +109,6 @@ def note_drivers(
     moments: Any,
     vehicles: Any,
     seen: Any,
-    some: Some,
     at_fault: Bools,
     interval_s: float,
     drivers: Ints,
@@ -125,13 +116,10 @@ def note_drivers(
     new_followers: Ints,
     sums: Any,
 ) -> None:
-    """Adds the decision intervals of some vehicles that end in some frames to `sums` [B, D].
-
-    `seen` are the vehicles of the frames as these vehicles see them.
-    """
+    """Adds the decision intervals that end in some frames to `sums` [B, D]."""
     for moment in moments:
-        b, decision = index(moment.scene), moment.decision
-        itself, before, now = vehicles[moment.now], vehicles[moment.before], seen[moment.now]
+        b, decision, some = index(moment.scene), moment.decision, (moment.first, moment.after)
+        itself, before, now = vehicles[moment.now], vehicles[moment.before], seen[moment.seen]
         driver, met, summed = drivers[b], state[b], sums[b]
         note_driving(road, some, now, before, at_fault[b], interval_s, driver, summed)
         note_encroachments(some, now, before, itself, decision, interval_s, driver, met, summed)

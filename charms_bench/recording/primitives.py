@@ -32,11 +32,13 @@ def record(**fields: str) -> np.dtype[np.void]:
     return np.dtype(types, align=True)
 
 
-MOMENT = record(i8="scene now before decision", b1="ends")
+MOMENT = record(i8="scene now before decision seen first after", b1="ends")
 """When a frame was taken.
 
 now, before: The vehicles in this frame and at the decision before, or at the start.
 decision: The decision interval that the frame ends or is in, counted from 1.
+seen: The vehicles as those see them that are looked at, which are the vehicles `first` until
+    before `after`; in a frame, these are all, and they see the frame itself.
 ends: Whether the episode has ended.
 """
 VEHICLE = record(
@@ -131,6 +133,8 @@ class Primitives:
         collision = made.collision if self._views is None else self._views.collision
         moments = np.empty(scenes.size, dtype=MOMENT)
         note_moments(scenes, self._last, made.steps, ahead, scene.active, moments)
+        moments["seen"], moments["first"] = moments["now"], 0
+        moments["after"] = scene.x.shape[1]
         frames = Frames(moments, self._vehicles)
         seen = (scene, *frames, collision, made.action, made.has_action)
         if self.changes:

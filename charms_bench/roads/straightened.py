@@ -14,7 +14,7 @@ import numpy as np
 from charms_bench.engine.neighbours import find_neighbours, sort_by_x
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.foundation.compiled import compiled, wrap_to_pi
+from charms_bench.foundation.compiled import compiled, inlined, wrap_to_pi
 from charms_bench.roads.locating import coordinates_of, heading_on
 from charms_bench.roads.looking_ahead import speed_ahead
 from charms_bench.roads.scenes import NOTHING, Here, Row, Scenes, lane_of, vehicle_of
@@ -93,7 +93,7 @@ def straighten(
     find_neighbours(scene, v, v + 1)
 
 
-@compiled
+@inlined
 def see(
     here: Here, i: int, viewer: int, ways: Ways, b: int, best: int, scene: Scene, v: int
 ) -> None:
@@ -142,7 +142,7 @@ def place_on(
     return found
 
 
-@compiled
+@inlined
 def copy_state(scene: Scene, v: int, i: int, vehicle: Row) -> None:
     """Copies what does not depend on the view."""
     scene.speed[v, i], scene.crashed[v, i] = vehicle.speed, vehicle.crashed

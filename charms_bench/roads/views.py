@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION
+from charms_bench.engine.views import note_view
 from charms_bench.foundation.arrays import Bools, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.roads.fault import Fault
@@ -64,9 +65,9 @@ class RoadViews:
         self._roads = roads
         return self._own
 
-    def seen_by(self, vehicles: Vehicles) -> Scene:
-        see_scenes(self._scenes, self._seen.unpacked, self._ways, *vehicles)
-        return self._seen
+    def see(self, vehicles: Vehicles, seen: Any) -> None:
+        rows, places = vehicles
+        see_scenes(self._scenes, self._seen.unpacked, self._ways, rows, places, seen)
 
 
 @compiled_of_scenes
@@ -93,11 +94,17 @@ def see_themselves(scenes: Scenes, own: Any, ways: Ways, rows: Ints) -> None:
 
 
 @compiled_of_scenes
-def see_scenes(scenes: Scenes, seen: Any, ways: Ways, rows: Ints, places: Ints) -> None:
-    """Fills in scenes as M vehicles see them."""
-    view = seen.scene
+def see_scenes(scenes: Scenes, view: Any, ways: Ways, rows: Ints, places: Ints, seen: Any) -> None:
+    """Fills in where the vehicles are in the views of M vehicles.
+
+    The views of a scene are made in one place, where each finds the order of the one before.
+    """
+    scene, last = view.scene, -1
     for m in range(rows.size):
-        here = here_of(scenes, rows[m])
-        for i in range(here.places):
+        b = rows[m]
+        here = here_of(scenes, b)
+        for i in range(here.places if b != last else 0):
             forget(here, i)
-        straighten(scenes, here, ways, rows[m], places[m], view, m)
+        last = b
+        straighten(scenes, here, ways, b, places[m], scene, b)
+        note_view(scene, b, seen[m])
