@@ -29,7 +29,7 @@ from charms_bench.cli.terminal import (
     say,
     shown,
 )
-from charms_bench.errors import InputError, RunFolderError, suggestion
+from charms_bench.errors import InputError, RunFolderError
 from charms_bench.foundation.files import read_file
 from charms_bench.foundation.words import counted
 
@@ -59,22 +59,15 @@ def suites(
 
     `charms-bench run NAME` runs one.
     """
+    from charms_bench.runs.copied_suite import copy_suite
     from charms_bench.runs.document import Document
     from charms_bench.runs.packaged import packaged_suites
 
-    found = packaged_suites()
     if copy is not None:
-        if copy not in found:
-            raise InputError(f"no suite named '{copy}'. {suggestion(copy, found)}")
-        path = Path(found[copy].name)
-        try:
-            with path.open("xb") as file:
-                file.write(found[copy].read_bytes())
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+        path = copy_suite(copy)
         say(f"Written: {shown(path)}; charms-bench run {as_word(path)}")
         return
-    titles = {name: str(Document(path).data["title"]) for name, path in found.items()}
+    titles = {name: str(Document(path).data["title"]) for name, path in packaged_suites().items()}
     if as_json:
         end_with_json([{"name": name, "title": title} for name, title in titles.items()])
     width = max(map(len, titles))

@@ -9,6 +9,7 @@ from command_line import charms_bench
 from charms_bench.errors import SuiteError
 from charms_bench.runs.document import Document
 from charms_bench.runs.packaged import packaged_suites
+from charms_bench.runs.suite import load_suite
 
 SUITES = Path(__file__).parents[2] / "suites"
 
@@ -27,6 +28,14 @@ def test_a_listed_suite_can_be_copied_once(tmp_path: Path) -> None:
     (tmp_path / "ego.yaml").write_text("mine")
     again = charms_bench("suites", "--copy", "ego", cwd=tmp_path)
     assert (again.returncode, (tmp_path / "ego.yaml").read_text()) == (2, "mine")
+
+
+def test_a_copy_has_the_road_files_that_the_suite_names(tmp_path: Path) -> None:
+    assert charms_bench("suites", "--copy", "places", cwd=tmp_path).returncode == 0
+    copied = {path.relative_to(tmp_path): path.read_bytes() for path in tmp_path.rglob("*.*")}
+    named = [SUITES / "places.yaml", *(SUITES / "places").glob("*.json")]
+    assert copied == {path.relative_to(SUITES): path.read_bytes() for path in named}
+    load_suite(tmp_path / "places.yaml")
 
 
 def test_a_file_with_the_name_of_a_suite_has_to_be_given_by_its_full_path(
