@@ -79,6 +79,8 @@ _KEPT = (
 """The names of `RoadEngine._kept`."""
 _LARGEST = 1e9
 """Bound of all numbers of a state, so that nothing overflows."""
+_LARGEST_POWER = 1e20
+"""That of a speed over a target speed of almost 0, to the power of IDM's exponent."""
 BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS = range(4)
 """What drives a vehicle: highway-env's environment, target speeds and lanes, a driver model, or
 continuous actions."""
@@ -286,6 +288,7 @@ class RoadEngine(Shown):
             "entries.lane": any_lane,
             "order.place": (0, places - 1),
             "open_lanes of ways": (0, lane[1] + 1),
+            "free_acceleration": (-_LARGEST_POWER, _LARGEST_POWER),
         }
         for name, part in self._parts(state.network).items():
             for field in part.dtype.names or ("",):

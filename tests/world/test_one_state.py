@@ -22,6 +22,7 @@ REASONS = {
     "episodes/replay.py: TRAJECTORY_SCHEMA": "the rows of a replay",
     "world/moments.py: Tracks": "recorded vehicles",
     "world/tracks.py: Motion": "what a replay keeps of all moments",
+    "testing/map_parity.py: vehicle": "highway-env's vehicle that is compared",
     "world/plan.py: Plan": "what a picture of a network shows",
 }
 
