@@ -152,20 +152,17 @@ class Futures:
         repeats[own] = counted
         index = [self._simulation.agents.index(name) if name in self._simulation.agents else 0
                  for name in state.agents]  # fmt: skip
-        return SceneState(
-            self._simulation.settings,
-            self._simulation.agents,
-            state.phase,
-            **{
-                **state.arrays(),
-                "drivers": np.array(index)[state.drivers],
-                "ego": state.ego if self._on_network else places,
-                "repeats": repeats,
-                "ending": np.zeros(rows.size, dtype=np.int64),
-                "active": np.ones(rows.size, dtype=np.bool_),
-                "temperament": np.full(state.x.shape, TEMPERAMENT),
-            },
-        )
+        arrays: dict[str, Any] = {
+            **state.arrays(),
+            "drivers": np.array(index)[state.drivers],
+            "ego": state.ego if self._on_network else places,
+            "repeats": repeats,
+            "ending": np.zeros(rows.size, dtype=np.int64),
+            "active": np.ones(rows.size, dtype=np.bool_),
+            "temperament": np.full(state.x.shape, TEMPERAMENT),
+        }
+        made = self._simulation
+        return SceneState(made.settings, made.agents, state.phase, **arrays)
 
     def _driven(self, state: SceneState, places: Ints, plans: Actions, holds: bool) -> list[Any]:
         """The outcomes (S, H) of plans (S, H) of the vehicles at some places (S,) of a state."""

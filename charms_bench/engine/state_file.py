@@ -150,7 +150,7 @@ def _state_of(found: dict[str, Any]) -> SceneState:
         raise InputError(f"phase: found {phase!r}, expected an integer")
     arrays = {name: _array_of(name, found[name]) for name in OF_SCENE}
     network = _network_of(found.get("network", [""] * arrays["seeds"].size))
-    state = SceneState(settings, tuple(agents), phase, **arrays, network=network)
+    state = SceneState(settings, tuple(agents), phase, **arrays, network=network, is_from_file=True)
     check_state(state)
     return state
 

@@ -17,7 +17,7 @@ from charms_bench.roads.file_road import CLEARED, ENTERED, FREED, LEFT, STANDING
 from charms_bench.roads.map_lanes import map_of
 from charms_bench.roads.scenes import IDM, OBSTACLE, Scenes
 from charms_bench.roads.stepping import decide
-from charms_bench.world.named_road import FILE_ROAD, NamedRoad
+from charms_bench.world.named_road import FILE_ROAD, hash_of
 from charms_bench.world.road import is_on_lane
 
 SIMULATION_HZ = 15
@@ -72,11 +72,11 @@ def long_drive(
         InputError: There are too many vehicles, or the road is too large.
         MapError: The road cannot be read.
     """
-    road = NamedRoad.model_validate({"file": path})
-    lane_km = sum(each.length for each in map_of(path, str(road.sha256)).lanes) / 1000
+    sha256 = hash_of(path)
+    lane_km = sum(each.length for each in map_of(path, sha256).lanes) / 1000
     if vehicles < 2:
         raise InputError(f"vehicles: {vehicles}; expected at least 2")
-    given = {"file": str(path), "sha256": road.sha256, "density": (vehicles - 1) / lane_km}
+    given = {"file": str(path), "sha256": sha256, "density": (vehicles - 1) / lane_km}
     episodes = Episodes(FILE_ROAD, 1, given | {"simulation_frequency": SIMULATION_HZ})
     task, scenes = episodes.task, episodes.scenes
     assert isinstance(task, FileRoad)

@@ -16,7 +16,7 @@ from charms_bench.maps.reading import read_road
 from charms_bench.maps.road_map import MapLane, RoadMap
 from charms_bench.maps.sampling import lengths_of
 from charms_bench.roads.layout import Edge
-from charms_bench.world.named_road import NamedRoad
+from charms_bench.world.named_road import hash_of
 from charms_bench.world.road_network import CircularLane, StraightLane
 
 LATERAL_MPS2, SLOWEST_MPS = 3.0, 3.0
@@ -39,11 +39,11 @@ def map_of(path: Path, sha256: str) -> RoadMap:
         InputError: It has changed, or is too large.
         MapError: It cannot be read.
     """
-    now = NamedRoad.model_validate({"file": path}).sha256
+    now = hash_of(path)
     if now != sha256:
         raise InputError(
             f"{path}: the road has changed since the settings were made; expected a file with the "
-            f"hash {sha256[:12]}, found {str(now)[:12]}"
+            f"hash {sha256[:12]}, found {now[:12]}"
         )
     found = joined(read_road(path))
     count = sum(len(road.lanes) for road in found.roads)

@@ -8,7 +8,7 @@ import numpy as np
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel
-from charms_bench.roads import OF_SUITES
+from charms_bench.roads import OF_SUITES, TASKS
 from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.scenes import OBSTACLE
@@ -60,6 +60,11 @@ class _Road(NamedTuple):
 
 def _check(road: NamedRoad) -> None:
     """Raises an `InputError` if a road is none of suites, or its configuration is not its own."""
+    if road.file is not None and road.name in TASKS:
+        raise InputError(
+            f"name: '{road.name}' is one of highway-env's roads; give the road of a file another "
+            "name, or none"
+        )
     if road.file is None and road.name not in OF_SUITES:
         known = suggestion(road.name, dict.fromkeys(OF_SUITES))
         raise InputError(f"no road named '{road.name}'. {known}")

@@ -18,6 +18,7 @@ from charms_bench.runs.resumable_folder import (
     KINDS,
     MANIFEST,
     NETWORKS,
+    ROADS,
     RunFolder,
 )
 from charms_bench.runs.shard_rows import problem_between
@@ -118,6 +119,7 @@ def _unexpected(folder: RunFolder, names: Collection[str]) -> Iterator[Finding]:
     """
     expected = {MANIFEST, LOCK}
     expected |= {f"{NETWORKS}/{sha256}.onnx" for sha256 in folder.network_hashes().values()}
+    expected |= {f"{ROADS}/{sha256}.map" for sha256 in folder.road_hashes()}
     for name in names:
         expected |= {f"{CHECKSUMS}/{name}.sha256", *(f"{kind}/{name}.parquet" for kind in KINDS)}
     for path, kind in entries(folder.path):
@@ -130,7 +132,7 @@ def _unexpected(folder: RunFolder, names: Collection[str]) -> Iterator[Finding]:
             continue
         elif top in KINDS:
             yield Finding("files", where, "fail", "is not of a finished shard")
-        elif top in (CHECKSUMS, NETWORKS, TABLES):
+        elif top in (CHECKSUMS, NETWORKS, ROADS, TABLES):
             yield Finding("files", where, "fail", "is not a file of this run")
         else:
             yield Finding("files", where, "unknown", "is not a file of a run, and is not checked")

@@ -36,6 +36,7 @@ from charms_bench.runs.shard_rows import (
 )
 from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
 from charms_bench.runs.suite import UNDECIDING, Suite
+from charms_bench.runs.suite_roads import RoadEntry
 
 FORMAT = 4
 """Version of the format of run folders, as docs/run-folders.md describes it."""
@@ -46,10 +47,13 @@ FILE_LIMIT_BYTES = 2**30
 CHECKSUMS = "checksums"
 NETWORKS = "networks"
 """The folder of networks that the suite gives by path; each file is named by its hash."""
+ROADS = "roads"
+"""That of the road files and maps of the suite."""
 _WRITTEN = {
     CHECKSUMS: rf"{NAME}\.sha256",
     **dict.fromkeys(KINDS, rf"{NAME}\.parquet"),
     NETWORKS: r"[0-9a-f]{64}\.onnx",
+    ROADS: r"[0-9a-f]{64}\.map",
 }
 """The names of the files that a run writes into these folders."""
 
@@ -130,10 +134,16 @@ class RunFolder:
         self._refuse_roads_of_traffic(manifest)
         try:
             undeciding = {name: manifest[name] for name in UNDECIDING if name in manifest}
-            return Suite.model_validate({**manifest["suite"], **undeciding})
+            suite = Suite.model_validate({**manifest["suite"], **undeciding})
         except (KeyError, TypeError, ValueError) as error:
             reason = problem_in(error)
             raise RunFolderError(f"{self.path / MANIFEST}: describes no suite: {reason}") from error
+        return suite.model_copy(update={"roads": tuple(map(self._with_copy, suite.roads))})
+
+    def _with_copy(self, road: RoadEntry) -> RoadEntry:
+        """The road, whose file is the copy in the folder."""
+        copy = self._road(str(road.sha256))
+        return road.model_copy(update={"file": copy}) if road.file and copy.exists() else road
 
     def _refuse_roads_of_traffic(self, manifest: dict[str, Any]) -> None:
         """Raises a `RunFolderError` if roads were traffic models when the folder was written."""
@@ -309,14 +319,18 @@ class RunFolder:
 
         Raises a `RunFolderError` if the network no longer has this hash.
         """
-        copy = self._network(sha256)
-        data = read_file(network, FILE_LIMIT_BYTES)
-        if hashlib.sha256(data).hexdigest() != sha256:
-            raise RunFolderError(f"{network}: has changed since the run began; run the suite again")
-        with suppress(OSError):
-            if read_limited(copy, FILE_LIMIT_BYTES) == data:
-                return
-        write_bytes(copy, data)
+        _keep(network, sha256, self._network(sha256))
+
+    def keep_road(self, file: Path, sha256: str) -> None:
+        """As `keep_network`, for the file of a road."""
+        _keep(file, sha256, self._road(sha256))
+
+    def road_hashes(self) -> set[str]:
+        """Returns the SHA-256 of the files of all roads."""
+        suite = self.manifest().get("suite")
+        roads = suite.get("roads") if isinstance(suite, dict) else None
+        found = (str(road.get("sha256")) for road in roads or () if isinstance(road, dict))
+        return {each for each in found if re.fullmatch("[0-9a-f]{64}", each)}
 
     def network_hashes(self) -> dict[str, str]:
         """Returns the SHA-256 of each network that the suite gives by path, by its name there."""
@@ -355,17 +369,32 @@ class RunFolder:
     def drop_others(self, shards: Iterable[Shard]) -> None:
         """Deletes every shard that is not one of these, and every network of another run."""
         names = {shard.name for shard in shards} | set(self.network_hashes().values())
+        names |= self.road_hashes()
         for folder, pattern in _WRITTEN.items():
             delete(self.path / folder, pattern, names)
 
     def _network(self, sha256: str) -> Path:
         return self.path / NETWORKS / f"{sha256}.onnx"
 
+    def _road(self, sha256: str) -> Path:
+        return self.path / ROADS / f"{sha256}.map"
+
     def _file(self, kind: str, name: str) -> Path:
         return self.path / kind / f"{name}.parquet"
 
     def _checksums(self, name: str) -> Path:
         return self.path / CHECKSUMS / f"{name}.sha256"
+
+
+def _keep(file: Path, sha256: str, copy: Path) -> None:
+    """Copies a file; raises a `RunFolderError` if it no longer has this hash."""
+    data = read_file(file, FILE_LIMIT_BYTES)
+    if hashlib.sha256(data).hexdigest() != sha256:
+        raise RunFolderError(f"{file}: has changed since the run began; run the suite again")
+    with suppress(OSError):
+        if read_limited(copy, FILE_LIMIT_BYTES) == data:
+            return
+    write_bytes(copy, data)
 
 
 def _content(path: Path) -> bytes:

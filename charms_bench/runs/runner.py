@@ -102,6 +102,9 @@ def run(
         networks = {k: path for task in tasks.values() for k, path in task.networks.items()}
         for name, path in networks.items():
             folder.keep_network(path, agents[name]["weights_sha256"])
+        for road in suite.roads:
+            if road.file is not None:
+                folder.keep_road(road.file, str(road.sha256))
         if rows is not None:
             folder.take(tasks, rows)
         run = FinishedRun(suite, folder, tuple(tasks), failed)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, JsonValue, ValidationInfo, model_validator
 
+from charms_bench.errors import InputError
 from charms_bench.foundation.fields import UNLESS_EMPTY, FilePath, FrozenModel, Name
 from charms_bench.foundation.files import absolute
 
@@ -14,6 +15,15 @@ ENVIRONMENT = "environment"
 """The traffic model of the vehicles that a road has itself."""
 FILE_ROAD = "road-file"
 """The environment of all roads in files."""
+
+
+def hash_of(path: Path) -> str:
+    """The SHA-256 of a file; raises an `InputError` if it cannot be read."""
+    try:
+        with path.open("rb") as content:
+            return hashlib.file_digest(content, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 class NamedRoad(FrozenModel):
@@ -42,10 +52,9 @@ class NamedRoad(FrozenModel):
         if not found.get("sha256"):
             found["file"] = path = absolute((info.context or {}).get("folder", Path()) / path)
             try:
-                with path.open("rb") as content:
-                    found["sha256"] = hashlib.file_digest(content, "sha256").hexdigest()
-            except OSError as error:
-                raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+                found["sha256"] = hash_of(path)
+            except InputError as error:
+                raise ValueError(str(error)) from error
         return found
 
     def __str__(self) -> str:

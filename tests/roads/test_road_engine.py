@@ -2,6 +2,7 @@
 
 import pickle
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -377,7 +378,7 @@ def test_a_state_with_an_impossible_index_is_rejected(column: str) -> None:
     wrong = state.network.copy()
     wrong[0, start : start + 8] = np.frombuffer(np.int64(10_000).tobytes(), np.uint8)
     with pytest.raises(InputError, match=r"network: .*found 10000, expected"):
-        made.restore(state.with_arrays({"network": wrong}))
+        made.restore(replace(state, network=wrong, is_from_file=True))
     assert made.state() == state
 
 

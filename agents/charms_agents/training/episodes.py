@@ -1,6 +1,7 @@
 """The episodes that a network learns from: environments of different scenes, side by side."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -68,6 +69,7 @@ class Episodes:
         for k, environment in enumerate(self._environments):
             own = environment.get_state().scenes
             scenes = own.with_arrays({name: arrays[f"scenes/{k}/{name}"] for name in own.arrays()})
+            scenes = replace(scenes, is_from_file=True)
             check_state(scenes)
             returns, next_seed = (
                 arrays[f"episodes/{k}/{name}"] for name in ("returns", "next_seed")
