@@ -42,7 +42,7 @@ def audit_run(
     """
     cells = planned_again(folder, suite, folder.finished())
     engine = folder.engine()
-    software = list(audit_software(folder.manifest(), suite, engine, cells))
+    software = list(audit_software(folder.manifest(), folder.written_suite(), engine, cells))
     good = Finding("software", "", "pass", "the code and libraries of the run are installed")
     yield from software or [good]
     yield from audit_networks(folder)

@@ -126,19 +126,24 @@ class RunFolder:
         return manifest
 
     def suite(self) -> Suite:
-        """Returns the suite of the run; its relative paths have no folder to start from.
+        """Returns the suite of the run, with the folder's copies of road files.
 
-        Raises a `RunFolderError` if the manifest describes no suite.
+        Other relative paths have no folder to start from. Raises a `RunFolderError` if the manifest
+        describes no suite.
         """
+        suite = self.written_suite()
+        return suite.model_copy(update={"roads": tuple(map(self._with_copy, suite.roads))})
+
+    def written_suite(self) -> Suite:
+        """Returns the suite as the manifest has it; see `suite`."""
         manifest = self.manifest()
         self._refuse_roads_of_traffic(manifest)
         try:
             undeciding = {name: manifest[name] for name in UNDECIDING if name in manifest}
-            suite = Suite.model_validate({**manifest["suite"], **undeciding})
+            return Suite.model_validate({**manifest["suite"], **undeciding})
         except (KeyError, TypeError, ValueError) as error:
             reason = problem_in(error)
             raise RunFolderError(f"{self.path / MANIFEST}: describes no suite: {reason}") from error
-        return suite.model_copy(update={"roads": tuple(map(self._with_copy, suite.roads))})
 
     def _with_copy(self, road: RoadEntry) -> RoadEntry:
         """The road, whose file is the copy in the folder."""

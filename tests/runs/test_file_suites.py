@@ -34,7 +34,8 @@ def test_a_run_on_a_file_has_tables_and_can_be_audited_and_replayed(
     suite: Path, tmp_path: Path
 ) -> None:
     run_file(suite, tmp_path / "run", workers=1)
-    found = open_run(tmp_path / "run")
+    (suite.parent / "roads" / "mine.json").unlink()  # the folder has a copy
+    found = open_run((tmp_path / "run").rename(tmp_path / "moved"))
     rows = found.table.records()
     assert [row["road"] for row in rows] == ["mine"] * 4
     assert all(0.0 <= row["goal_reached"] <= 1.0 for row in rows)
