@@ -151,20 +151,16 @@ class Primitives:
         scene, vehicles = self._scene, self._vehicles
         is_here, was_here = scene.present[scenes], self._present[scenes]
         has_stayed = is_here & was_here & (scene.entry[scenes] == self._entry[scenes])
-        has_appeared = is_here & ~has_stayed
-        # The lanes of another road have other numbers: this is no lane change.
-        begins = has_appeared if self._views is None else has_appeared | self._views.turned[scenes]
-        before = vehicles[moments["before"]]
+        each, places = np.nonzero(is_here & ~has_stayed)
+        before, now = ((moments[name][each], places) for name in ("before", "now"))
         for name in ("lane", "target_lane"):
-            before[name] = np.where(begins, getattr(scene, name)[scenes], before[name])
-        before["lane_since"][has_appeared] = LONG_AGO
-        before["lost"] |= ~has_stayed
-        vehicles[moments["before"]] = before
+            vehicles[name][before] = getattr(scene, name)[scenes[each], places]
+        vehicles["lane_since"][before] = LONG_AGO
+        vehicles["lost"][moments["before"]] |= ~has_stayed
         take(*seen)
-        now = vehicles[moments["now"]]
-        now["lost"] = np.where(has_appeared, now["crashed"] | ~now["is_on_road"], now["lost"])
-        now["acceleration"][~is_here] = np.nan
-        vehicles[moments["now"]] = now
+        vehicles["lost"][now] = vehicles["crashed"][now] | ~vehicles["is_on_road"][now]
+        each, places = np.nonzero(~is_here)
+        vehicles["acceleration"][moments["now"][each], places] = np.nan
 
 
 @compiled

@@ -37,6 +37,7 @@ class TrafficOnWays:
 
     def add(self, scenes: Ints) -> None:
         """Adds the decision interval of the scenes (S,) that has just ended."""
+        self._views.look(scenes)
         frames = self.kept.at_decision(scenes)
         self._sums.forget(self.kept.left)
         self._sums.find_drivers()
