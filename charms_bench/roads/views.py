@@ -6,7 +6,7 @@ import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.foundation import maths
-from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.arrays import Bools, Ints
 from charms_bench.foundation.compiled import Unpacked, compiled, compiled_of_scenes, wrap_to_pi
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.locating import coordinates_of, forget, heading_on
@@ -22,6 +22,13 @@ from charms_bench.roads.straightened import (
 )
 from charms_bench.world.road import Straight, is_near_lane, is_on_length
 from charms_bench.world.scene import VACANT_X_M, Scene, SceneSettings, Vehicles
+
+ALONG = np.dtype(
+    [(name, "f8") for name in ("x", "y")]
+    + [(name, "i8") for name in ("lane", "target_lane", "k", "place")]
+)
+"""Where a vehicle is along a way, beside lane `k` of it, -1 for none. `place` is a column of its
+own: the vehicles by x."""
 
 
 class RoadViews:
@@ -39,6 +46,8 @@ class RoadViews:
         count = len(scenes.vehicles)
         self._ways = Ways.empty(*state.x.shape)
         self._unpacked = _unpacked(self._ways)
+        self._along = np.zeros(state.x.shape[1], ALONG)
+        self._along["place"] = np.arange(state.x.shape[1])
         self.own = Scene.empty(settings, count)._replace(
             present=state.present, entry=state.entry, active=state.active
         )
@@ -48,13 +57,16 @@ class RoadViews:
         self.look(np.arange(count))
 
     def follow(self) -> None:
+        self._follow(np.nonzero(self._state.active)[0])
+
+    def _follow(self, rows: Ints) -> None:
         entry = np.where(self._state.present, self._state.entry, -1)
         is_new = entry != self._entry
         if is_new.any():
             self._entry = entry
             self._ways.lanes[is_new] = -1
             self.collision[is_new], self.at_fault[is_new] = NO_COLLISION, False
-        follow_all(self._scenes, self._unpacked, np.nonzero(self._state.active)[0])
+        follow_all(self._scenes, self._unpacked, rows)
 
     def judge(self) -> None:
         for b, i in zip(*np.nonzero(self._state.crashed & (self.collision == 0)), strict=True):
@@ -63,11 +75,11 @@ class RoadViews:
                 self.at_fault[b, i], self.collision[b, i] = at_fault == 1.0, how
 
     def look(self, scenes: Ints) -> None:
-        self.follow()
+        self._follow(scenes)
         see_themselves(self._scenes, self.own.unpacked, self._unpacked, scenes)
 
     def see(self, vehicles: Vehicles, seen: Any) -> None:
-        see_each(self._scenes, self.own.unpacked, self._unpacked, *vehicles, seen)
+        see_each(self._scenes, self.own.unpacked, self._unpacked, self._along, *vehicles, seen)
 
 
 @compiled
@@ -79,81 +91,144 @@ def _unpacked(ways: Any) -> Unpacked:
 @compiled_of_scenes
 def follow_all(scenes: Scenes, ways: Any, rows: Ints) -> None:
     """Finds the ways of all vehicles of the scenes `rows`."""
+    known = ways.scene
+    lanes, steps = known.lanes, known.steps
     for b in rows:
         here = here_of(scenes, b)
         for i in range(here.places):
-            if vehicle_of(here, i).kind > OBSTACLE:
-                find_way(scenes, b, i, ways.scene)
+            vehicle = vehicle_of(here, i)
+            # As in `find_way`, without a call: nearly all vehicles are still on their lanes.
+            has_changed = lanes[b, i, BEHIND] != vehicle.lane or steps[b, i] != vehicle.route_step
+            if has_changed and vehicle.kind > OBSTACLE:
+                find_way(scenes, b, i, known)
 
 
 @compiled_of_scenes
 def see_themselves(scenes: Scenes, own: Any, ways: Any, rows: Ints) -> None:
     """Fills in each vehicle of the scenes `rows` as it sees itself."""
+    scene, known = own.scene, ways.scene
     for b in rows:
         here = here_of(scenes, b)
         for i in range(here.places):
             forget(here, i)
             if vehicle_of(here, i).kind > OBSTACLE:
-                find_way(scenes, b, i, ways.scene)
-                see(here, i, i, ways.scene, b, BEHIND, own.scene, b)
+                see(here, i, i, known, b, BEHIND, scene, b)
 
 
 @compiled_of_scenes
-def see_each(scenes: Scenes, own: Any, ways: Any, rows: Ints, places: Ints, seen: Any) -> None:
-    """Fills in what M vehicles see."""
-    last, found, at_x = -1, np.empty(4, np.int64), np.empty(4)
-    for m in range(rows.size):
-        here = here_of(scenes, rows[m])
-        for i in range(here.places if rows[m] != last else 0):
+def see_each(
+    scenes: Scenes, own: Any, ways: Any, along: Any, rows: Ints, places: Ints, seen: Any
+) -> None:
+    """Fills in what M vehicles see. Those that drive along the same way share a view."""
+    road, known = own.scene.road, ways.scene
+    is_done, first, after = np.zeros(rows.size, np.bool_), 0, 0
+    while first < rows.size:
+        b = rows[first]
+        here, starts = here_of(scenes, b), known.starts[b]
+        for i in range(here.places):
             forget(here, i)
-        last = rows[m]
-        look_around(here, own.scene.road, ways.scene, last, places[m], seen[m], found, at_x)
+        while after < rows.size and rows[after] == b:
+            after += 1
+        for m in range(first, after):
+            if is_done[m]:
+                continue
+            i = places[m]
+            find_along(here, road, known, b, i, along)
+            for n in range(m, after):
+                j = places[n]
+                is_like = not is_done[n] and starts[i, BEHIND] == starts[j, BEHIND]
+                if is_like and is_same_way(known, b, i, j):
+                    look_around(here, road, known.lanes[b, i], j, along, seen[n])
+                    is_done[n] = True
+        first = after
 
 
 @compiled
-def look_around(
-    here: Here, road: Straight, ways: Ways, b: int, viewer: int, now: Any, found: Ints, at_x: Floats
-) -> None:
-    """Fills in the records [N] of what a vehicle sees.
+def is_same_way(ways: Ways, b: int, one: int, other: int) -> bool:
+    """Whether two vehicles of a scene drive along the same lanes."""
+    for k in range(ways.lanes.shape[2]):
+        lane = ways.lanes[b, one, k]
+        if lane != ways.lanes[b, other, k]:
+            return False
+        has_same_number = ways.numbers[b, one, k] == ways.numbers[b, other, k]
+        if lane >= 0 and not (
+            has_same_number and ways.starts[b, one, k] == ways.starts[b, other, k]
+        ):
+            return False
+    return True
 
-    Its neighbours are those that `engine.neighbours` finds in the scene that `straighten` makes:
-    of two vehicles that are level, the later place leads, and the earlier one follows. `found` and
-    `at_x` are room for them: the leaders on the lanes from the left, then the follower.
-    """
+
+@compiled
+def find_along(here: Here, road: Straight, ways: Ways, b: int, viewer: int, along: Any) -> None:
+    """Fills in where all vehicles [N] are along the way of one, as `straighten` does, in order."""
     lanes, numbers, starts = ways.lanes[b, viewer], ways.numbers[b, viewer], ways.starts[b, viewer]
     width, count = road.lane_width, min(lane_of(here, lanes[BEHIND]).lanes, road.lanes)
-    least_y, largest_y, own = -1.5 * width, (count + 0.5) * width, now[viewer]
-    found[:], at_x[:3], at_x[3] = -1, np.inf, -np.inf
     for i in range(here.places):
-        if i == viewer:
+        own = along[i]
+        own.k = k = place_on(here, i, lanes, numbers, -1.5 * width, (count + 0.5) * width, width)
+        own.x = VACANT_X_M
+        if k >= 0:
+            at = coordinates_of(here, i, lanes[k])
+            own.x, own.y = starts[k] + at.s, numbers[k] * width + at.r
+            own.lane = lane = lane_at(own.y, width, count)
+            own.target_lane = target_beside(here, vehicle_of(here, i), lane, count)
+    # As in `engine.neighbours.sort_by_x`: of two that are level, the later one is first.
+    for q in range(1, here.places):
+        i = along[q].place
+        x, m = along[i].x, q
+        while m > 0:
+            j = along[m - 1].place
+            if along[j].x < x or (along[j].x == x and j > i):
+                break
+            along[m].place = j
+            m -= 1
+        along[m].place = i
+
+
+@compiled
+def look_around(here: Here, road: Straight, lanes: Ints, viewer: int, along: Any, now: Any) -> None:
+    """Fills in the records [N] of what a vehicle sees along its lanes.
+
+    Its neighbours are those that `engine.neighbours` finds.
+    """
+    own, low, high = now[viewer], 0, along.size
+    own.left_leader = own.leader = own.right_leader = own.follower = -1
+    while low < high:
+        middle = (low + high) // 2
+        if along[along[middle].place].x < own.x:
+            low = middle + 1
+        else:
+            high = middle
+    for q in range(low, along.size):
+        i = along[q].place
+        other = along[i]
+        if i == viewer or other.k < 0 or not is_on_length(road, other.x):
             continue
-        k, other = place_on(here, i, lanes, numbers, least_y, largest_y, width), now[i]
-        if k < 0:
-            other.x = VACANT_X_M
-            continue
-        at = coordinates_of(here, i, lanes[k])
-        x, y = starts[k] + at.s, numbers[k] * width + at.r
-        lane = lane_at(y, width, count)
-        other.x, other.y, other.lane = x, y, lane
-        other.target_lane = target_beside(here, vehicle_of(here, i), lane, count)
-        for side in range(3 if is_on_length(road, x) else 0):
-            on = own.lane + side - 1
-            if not 0 <= on < road.lanes or not is_near_lane(road, on, y):
-                continue
-            if own.x <= x <= at_x[side]:
-                found[side], at_x[side] = i, x
-            elif side == 1 and own.x > x > at_x[3]:
-                found[3], at_x[3] = i, x
-    own.left_leader, own.leader, own.right_leader, own.follower = (
-        found[0],
-        found[1],
-        found[2],
-        found[3],
-    )
-    for i in found[:3]:
-        if i >= 0:
-            k = place_on(here, i, lanes, numbers, least_y, largest_y, width)
-            s, other = coordinates_of(here, i, lanes[k]).s, now[i]
-            heading = heading_on(here, lane_of(here, lanes[k]), s)
-            other.heading = wrap_to_pi(vehicle_of(here, i).heading - heading)
-            other.direction_y, other.direction_x = maths.sin_cos(other.heading)
+        leads = False
+        if own.leader < 0 and is_near_lane(road, own.lane, other.y):
+            own.leader, leads = i, True
+        if own.left_leader < 0 < own.lane and is_near_lane(road, own.lane - 1, other.y):
+            own.left_leader, leads = i, True
+        is_inner = own.lane + 1 < road.lanes
+        if own.right_leader < 0 and is_inner and is_near_lane(road, own.lane + 1, other.y):
+            own.right_leader, leads = i, True
+        if leads:
+            heading = heading_on(
+                here, lane_of(here, lanes[other.k]), coordinates_of(here, i, lanes[other.k]).s
+            )
+            leader = now[i]
+            leader.heading = wrap_to_pi(vehicle_of(here, i).heading - heading)
+            leader.direction_y, leader.direction_x = maths.sin_cos(leader.heading)
+        if own.left_leader >= 0 and own.leader >= 0 and own.right_leader >= 0:
+            break
+    for q in range(low - 1, -1, -1):
+        i = along[q].place
+        other = along[i]
+        if i != viewer and is_on_length(road, other.x) and is_near_lane(road, own.lane, other.y):
+            own.follower = i
+            break
+    for i in range(along.size):
+        if i != viewer:
+            other, known = now[i], along[i]
+            other.x, other.y = known.x, known.y
+            other.lane, other.target_lane = known.lane, known.target_lane
