@@ -28,12 +28,11 @@ class Views(Protocol):
     def look(self, scenes: Ints) -> None:
         """Fills in `own` of some scenes (S,)."""
 
-    def see(self, vehicles: Vehicles, seen: Any) -> None:
+    def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:
         """Fills in what M vehicles see, after `look`.
 
         Args:
             vehicles: The vehicles, scene after scene.
-            seen: [M, N] `recording.primitives.VEHICLE`, in which each vehicle is as it sees itself.
-                Filled in are where all others are and their lanes; and of the vehicle that looks,
-                its leaders, with their headings, and the follower on its lane.
+            after: (M,) after their rows in `seen`, which lie one after the other.
+            seen: The rows (`recording.primitives.SEEN`) to be filled in.
         """

@@ -7,7 +7,13 @@ import numpy as np
 from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Ints
-from charms_bench.foundation.compiled import Unpacked, compiled, compiled_of_scenes, wrap_to_pi
+from charms_bench.foundation.compiled import (
+    Unpacked,
+    compiled,
+    compiled_of_scenes,
+    inlined,
+    wrap_to_pi,
+)
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.locating import coordinates_of, forget, heading_on
 from charms_bench.roads.scenes import OBSTACLE, Here, Scenes, here_of, lane_of, vehicle_of
@@ -78,8 +84,9 @@ class RoadViews:
         self._follow(scenes)
         see_themselves(self._scenes, self.own.unpacked, self._unpacked, scenes)
 
-    def see(self, vehicles: Vehicles, seen: Any) -> None:
-        see_each(self._scenes, self.own.unpacked, self._unpacked, self._along, *vehicles, seen)
+    def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:
+        known = self.own.unpacked, self._unpacked, self._along
+        see_each(self._scenes, *known, *vehicles, after, seen)
 
 
 @compiled
@@ -117,11 +124,18 @@ def see_themselves(scenes: Scenes, own: Any, ways: Any, rows: Ints) -> None:
 
 @compiled_of_scenes
 def see_each(
-    scenes: Scenes, own: Any, ways: Any, along: Any, rows: Ints, places: Ints, seen: Any
+    scenes: Scenes,
+    own: Any,
+    ways: Any,
+    along: Any,
+    rows: Ints,
+    places: Ints,
+    ends: Ints,
+    seen: Any,
 ) -> None:
     """Fills in what M vehicles see. Those that drive along the same way share a view."""
     road, known = own.scene.road, ways.scene
-    is_done, first, after = np.zeros(rows.size, np.bool_), 0, 0
+    itself, is_done, first, after = own.scene, np.zeros(rows.size, np.bool_), 0, 0
     while first < rows.size:
         b = rows[first]
         here, starts = here_of(scenes, b), known.starts[b]
@@ -138,7 +152,9 @@ def see_each(
                 j = places[n]
                 is_like = not is_done[n] and starts[i, BEHIND] == starts[j, BEHIND]
                 if is_like and is_same_way(known, b, i, j):
-                    look_around(here, road, known.lanes[b, i], j, along, seen[n])
+                    x, lane = itself.x[b, j], itself.lane[b, j]
+                    mine = seen[ends[n - 1] if n else 0 : ends[n]]
+                    look_around(here, road, known.lanes[b, i], j, x, lane, along, mine)
                     is_done[n] = True
         first = after
 
@@ -186,49 +202,61 @@ def find_along(here: Here, road: Straight, ways: Ways, b: int, viewer: int, alon
 
 
 @compiled
-def look_around(here: Here, road: Straight, lanes: Ints, viewer: int, along: Any, now: Any) -> None:
-    """Fills in the records [N] of what a vehicle sees along its lanes.
+def look_around(
+    here: Here,
+    road: Straight,
+    lanes: Ints,
+    viewer: int,
+    own_x: float,
+    own_lane: int,
+    along: Any,
+    seen: Any,
+) -> None:
+    """Fills in the rows of what a vehicle sees along its lanes.
 
     Its neighbours are those that `engine.neighbours` finds.
     """
-    own, low, high = now[viewer], 0, along.size
-    own.left_leader = own.leader = own.right_leader = own.follower = -1
+    low, high = 0, along.size
     while low < high:
         middle = (low + high) // 2
-        if along[along[middle].place].x < own.x:
+        if along[along[middle].place].x < own_x:
             low = middle + 1
         else:
             high = middle
+    sought = 0
+    for side in range(4):
+        seen[side].place = -1
+        sought += side < 3 and 0 <= own_lane + side - 1 < road.lanes
     for q in range(low, along.size):
         i = along[q].place
-        other = along[i]
-        if i == viewer or other.k < 0 or not is_on_length(road, other.x):
-            continue
-        leads = False
-        if own.leader < 0 and is_near_lane(road, own.lane, other.y):
-            own.leader, leads = i, True
-        if own.left_leader < 0 < own.lane and is_near_lane(road, own.lane - 1, other.y):
-            own.left_leader, leads = i, True
-        is_inner = own.lane + 1 < road.lanes
-        if own.right_leader < 0 and is_inner and is_near_lane(road, own.lane + 1, other.y):
-            own.right_leader, leads = i, True
-        if leads:
-            heading = heading_on(
-                here, lane_of(here, lanes[other.k]), coordinates_of(here, i, lanes[other.k]).s
-            )
-            leader = now[i]
-            leader.heading = wrap_to_pi(vehicle_of(here, i).heading - heading)
-            leader.direction_y, leader.direction_x = maths.sin_cos(leader.heading)
-        if own.left_leader >= 0 and own.leader >= 0 and own.right_leader >= 0:
+        if sought == 0:
             break
+        if i == viewer or along[i].k < 0 or not is_on_length(road, along[i].x):
+            continue
+        for side in range(3):
+            on = own_lane + side - 1
+            if seen[side].place < 0 <= on < road.lanes and is_near_lane(road, on, along[i].y):
+                note(seen[side], i, along[i])
+                lane = lanes[along[i].k]
+                heading = heading_on(here, lane_of(here, lane), coordinates_of(here, i, lane).s)
+                heading = wrap_to_pi(vehicle_of(here, i).heading - heading)
+                seen[side].direction_y, seen[side].direction_x = maths.sin_cos(heading)
+                sought -= 1
     for q in range(low - 1, -1, -1):
         i = along[q].place
-        other = along[i]
-        if i != viewer and is_on_length(road, other.x) and is_near_lane(road, own.lane, other.y):
-            own.follower = i
+        if i == viewer or not is_on_length(road, along[i].x):
+            continue
+        if is_near_lane(road, own_lane, along[i].y):
+            note(seen[3], i, along[i])
             break
-    for i in range(along.size):
-        if i != viewer:
-            other, known = now[i], along[i]
-            other.x, other.y = known.x, known.y
-            other.lane, other.target_lane = known.lane, known.target_lane
+    for m in range(4, seen.size):
+        i = m - 4 + (m - 4 >= viewer)
+        note(seen[m], i, along[i])
+
+
+@inlined
+def note(seen: Any, i: int, other: Any) -> None:
+    """Fills in a row of what a vehicle sees of vehicle i."""
+    seen.place, seen.x, seen.y = i, other.x, other.y
+    seen.lane, seen.target_lane = other.lane, other.target_lane
+    seen.direction_x, seen.direction_y = 1.0, 0.0
