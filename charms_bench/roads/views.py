@@ -85,8 +85,9 @@ class RoadViews:
         see_themselves(self._scenes, self.own.unpacked, self._unpacked, scenes)
 
     def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:
-        known = self.own.unpacked, self._unpacked, self._along
-        see_each(self._scenes, *known, *vehicles, after, seen)
+        rows, places = vehicles
+        own, ways = self.own.unpacked, self._unpacked
+        see_each(self._scenes, own, ways, self._along, rows, places, after, seen)
 
 
 @compiled
