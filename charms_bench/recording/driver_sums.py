@@ -148,12 +148,8 @@ def show(view: Any, i: int, rows: Any) -> None:
         row = rows[k]
         if row.place >= 0:
             other = view[row.place]
-            other.x, other.y, other.lane, other.target_lane = (
-                row.x,
-                row.y,
-                row.lane,
-                row.target_lane,
-            )
+            other.x, other.y = row.x, row.y
+            other.lane, other.target_lane = row.lane, row.target_lane
             other.direction_x, other.direction_y = row.direction_x, row.direction_y
     own = view[i]
     own.left_leader, own.leader, own.right_leader = rows[0].place, rows[1].place, rows[2].place

@@ -48,10 +48,10 @@ class TrafficOnWays:
             was["lane"], was["target_lane"], own["lane"], own["target_lane"]
         )
         others = self._simulation.settings.vehicles - 1
-        moments["seen_after"] = np.cumsum(NEAR + others * looks_for_all)
-        moments["seen"][1:] = moments["seen_after"][:-1]
-        seen = np.empty(moments["seen_after"][-1] if each.size else 0, dtype=SEEN)
-        self._views.see((scenes[each], places), moments["seen_after"], seen)
+        after = np.cumsum(NEAR + others * looks_for_all)
+        moments["seen_after"], moments["seen"][1:] = after, after[:-1]
+        seen = np.empty(after[-1] if each.size else 0, dtype=SEEN)
+        self._views.see((scenes[each], places), after, seen)
         self._sums.add(frames._replace(moments=moments), self._views.at_fault, seen=seen)
 
     def drivers(self) -> pl.DataFrame:

@@ -134,7 +134,10 @@ def see_each(
     ends: Ints,
     seen: Any,
 ) -> None:
-    """Fills in what M vehicles see. Those that drive along the same way share a view."""
+    """Fills in what M vehicles see.
+
+    Where the others are along a way is found once for all vehicles of a scene that drive along it.
+    """
     road, known = own.scene.road, ways.scene
     itself, is_done, first, after = own.scene, np.zeros(rows.size, np.bool_), 0, 0
     while first < rows.size:
@@ -167,17 +170,19 @@ def is_same_way(ways: Ways, b: int, one: int, other: int) -> bool:
         lane = ways.lanes[b, one, k]
         if lane != ways.lanes[b, other, k]:
             return False
-        has_same_number = ways.numbers[b, one, k] == ways.numbers[b, other, k]
-        if lane >= 0 and not (
-            has_same_number and ways.starts[b, one, k] == ways.starts[b, other, k]
-        ):
+        if lane >= 0 and ways.numbers[b, one, k] != ways.numbers[b, other, k]:
+            return False
+        if lane >= 0 and ways.starts[b, one, k] != ways.starts[b, other, k]:
             return False
     return True
 
 
 @compiled
 def find_along(here: Here, road: Straight, ways: Ways, b: int, viewer: int, along: Any) -> None:
-    """Fills in where all vehicles [N] are along the way of one, as `straighten` does, in order."""
+    """Fills in where all vehicles [N] are along the way of one, as `straighten` does, in order.
+
+    The viewer is placed like the others.
+    """
     lanes, numbers, starts = ways.lanes[b, viewer], ways.numbers[b, viewer], ways.starts[b, viewer]
     width, count = road.lane_width, min(lane_of(here, lanes[BEHIND]).lanes, road.lanes)
     for i in range(here.places):
@@ -215,7 +220,7 @@ def look_around(
 ) -> None:
     """Fills in the rows of what a vehicle sees along its lanes.
 
-    Its neighbours are those that `engine.neighbours` finds.
+    Its neighbours are those that `engine.neighbours` finds in its scene as `straighten` makes it.
     """
     low, high = 0, along.size
     while low < high:
