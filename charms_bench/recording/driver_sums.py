@@ -22,7 +22,7 @@ from charms_bench.recording.columns import (
 from charms_bench.recording.conflict_onsets import note_conflicts
 from charms_bench.recording.encroachment import note_encroachments
 from charms_bench.recording.lane_changes import imposed_decisions, note_lane_changes
-from charms_bench.recording.primitives import NOBODY, Frames, Some, distance_to, record
+from charms_bench.recording.primitives import NOBODY, SEEN, Frames, Some, distance_to, record
 from charms_bench.recording.rss import note_rss
 from charms_bench.world.road import Straight
 from charms_bench.world.scene import Bools, Ints
@@ -67,12 +67,12 @@ class DriverSums:
         """Adds the decision intervals that end in some frames.
 
         `at_fault` [B, N] is whether the vehicles that have collided were at fault, and `changes`
-        whether vehicles or their drivers can have changed. `seen` are the vehicles as those see
-        them that the moments are of, by default as the frames have them.
+        whether vehicles or their drivers can have changed. `seen` are the rows of `SEEN` of the
+        moments.
         """
         if changes:
             self.find_drivers()
-        seen = frames.vehicles if seen is None else seen
+        seen = np.empty(0, dtype=SEEN) if seen is None else seen
         sums = self._state, self._new_followers, self._sums
         road, interval_s = self._simulation.scene.road, self._interval_s
         note_drivers(road, *frames, seen, at_fault, interval_s, self._drivers, *sums)
@@ -117,15 +117,43 @@ def note_drivers(
     sums: Any,
 ) -> None:
     """Adds the decision intervals that end in some frames to `sums` [B, D]."""
+    view, shown = np.empty_like(vehicles[0]), -1
     for moment in moments:
         b, decision, some = index(moment.scene), moment.decision, (moment.first, moment.after)
-        itself, before, now = vehicles[moment.now], vehicles[moment.before], seen[moment.seen]
+        itself, before = vehicles[moment.now], vehicles[moment.before]
+        now, rows = itself, seen[moment.seen : moment.seen_after]
+        if rows.size:
+            if shown != moment.now:
+                shown = moment.now
+                view[:] = itself
+            now = view
+            show(view, moment.first, rows)
         driver, met, summed = drivers[b], state[b], sums[b]
         note_driving(road, some, now, before, at_fault[b], interval_s, driver, summed)
         note_encroachments(some, now, before, itself, decision, interval_s, driver, met, summed)
         note_lane_changes(road, some, now, before, decision, driver, new_followers[b], summed)
         note_conflicts(road, some, now, decision, interval_s, moment.ends, driver, met, summed)
         note_rss(road, some, now, decision, interval_s, driver, met, summed)
+        for row in rows:
+            if row.place >= 0:
+                view[row.place] = itself[row.place]
+        if rows.size:
+            view[moment.first] = itself[moment.first]
+
+
+@compiled
+def show(view: Any, i: int, rows: Any) -> None:
+    """Shows vehicles [N] as vehicle i sees them."""
+    for k in range(rows.size - 1, -1, -1):  # the nearest ones last, because they have directions
+        row = rows[k]
+        if row.place >= 0:
+            other = view[row.place]
+            other.x, other.y = row.x, row.y
+            other.lane, other.target_lane = row.lane, row.target_lane
+            other.direction_x, other.direction_y = row.direction_x, row.direction_y
+    own = view[i]
+    own.left_leader, own.leader, own.right_leader = rows[0].place, rows[1].place, rows[2].place
+    own.follower = rows[3].place
 
 
 @inlined

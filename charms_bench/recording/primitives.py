@@ -32,13 +32,13 @@ def record(**fields: str) -> np.dtype[np.void]:
     return np.dtype(types, align=True)
 
 
-MOMENT = record(i8="scene now before decision seen first after", b1="ends")
+MOMENT = record(i8="scene now before decision first after seen seen_after", b1="ends")
 """When a frame was taken.
 
 now, before: The vehicles in this frame and at the decision before, or at the start.
 decision: The decision interval that the frame ends or is in, counted from 1.
-seen: The vehicles as those see them that are looked at, which are the vehicles `first` until
-    before `after`; in a frame, these are all, and they see the frame itself.
+first, after: The vehicles that are looked at, until before `after`; in a frame, all.
+seen, seen_after: The rows of `SEEN` of the only vehicle that is looked at; in a frame, none.
 ends: Whether the episode has ended.
 """
 VEHICLE = record(
@@ -56,6 +56,13 @@ action: -1 stands for none.
 is_on_road: Whether the centre is on the nearest lane.
 lost: Whether the vehicle has crashed or left the road, in this frame or at a decision before it.
 """
+SEEN = record(f8="x y direction_x direction_y", i2="place", i1="lane target_lane")
+"""Another vehicle as one sees it along its own way, where it differs from `VEHICLE`.
+
+A vehicle that is looked at has `NEAR` rows: its left leader, its leader, its right leader and its
+follower. Their `place` is `NOBODY` if there is none. More rows, if any, are all other vehicles,
+without directions."""
+NEAR = 4
 
 
 @inlined
@@ -133,7 +140,7 @@ class Primitives:
         collision = made.collision if self._views is None else self._views.collision
         moments = np.empty(scenes.size, dtype=MOMENT)
         note_moments(scenes, self._last, made.steps, ahead, scene.active, moments)
-        moments["seen"], moments["first"] = moments["now"], 0
+        moments["seen"] = moments["seen_after"] = moments["first"] = 0
         moments["after"] = scene.x.shape[1]
         frames = Frames(moments, self._vehicles)
         seen = (scene, *frames, collision, made.action, made.has_action)
@@ -151,20 +158,16 @@ class Primitives:
         scene, vehicles = self._scene, self._vehicles
         is_here, was_here = scene.present[scenes], self._present[scenes]
         has_stayed = is_here & was_here & (scene.entry[scenes] == self._entry[scenes])
-        has_appeared = is_here & ~has_stayed
-        # The lanes of another road have other numbers: this is no lane change.
-        begins = has_appeared if self._views is None else has_appeared | self._views.turned[scenes]
-        before = vehicles[moments["before"]]
+        each, places = np.nonzero(is_here & ~has_stayed)
+        before, now = ((moments[name][each], places) for name in ("before", "now"))
         for name in ("lane", "target_lane"):
-            before[name] = np.where(begins, getattr(scene, name)[scenes], before[name])
-        before["lane_since"][has_appeared] = LONG_AGO
-        before["lost"] |= ~has_stayed
-        vehicles[moments["before"]] = before
+            vehicles[name][before] = getattr(scene, name)[scenes[each], places]
+        vehicles["lane_since"][before] = LONG_AGO
+        vehicles["lost"][moments["before"]] |= ~has_stayed
         take(*seen)
-        now = vehicles[moments["now"]]
-        now["lost"] = np.where(has_appeared, now["crashed"] | ~now["is_on_road"], now["lost"])
-        now["acceleration"][~is_here] = np.nan
-        vehicles[moments["now"]] = now
+        vehicles["lost"][now] = vehicles["crashed"][now] | ~vehicles["is_on_road"][now]
+        each, places = np.nonzero(~is_here)
+        vehicles["acceleration"][moments["now"][each], places] = np.nan
 
 
 @compiled

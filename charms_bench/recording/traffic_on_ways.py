@@ -11,15 +11,11 @@ import polars as pl
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.recording.driver_sums import DriverSums
-from charms_bench.recording.primitives import VEHICLE, Primitives
+from charms_bench.recording.lane_changes import is_given_up
+from charms_bench.recording.primitives import NEAR, SEEN, Primitives
 from charms_bench.world.named_road import ENVIRONMENT
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import Ints
-
-VIEWED = 2**16
-"""The most vehicles in the views that are kept at once."""
-_WHOLE = np.dtype((np.void, VEHICLE.itemsize))
-"""A vehicle as one piece of memory; see `step_rows`."""
 
 
 class TrafficOnWays:
@@ -33,23 +29,30 @@ class TrafficOnWays:
         self.kept = Primitives(simulation, self._views)
         """All vehicles, each along its own way."""
         self._sums = DriverSums(simulation)
-        self._at_once = max(1, VIEWED // simulation.settings.vehicles)
 
     def add(self, scenes: Ints) -> None:
         """Adds the decision interval of the scenes (S,) that has just ended."""
+        self._views.look(scenes)
         frames = self.kept.at_decision(scenes)
         self._sums.forget(self.kept.left)
         self._sums.find_drivers()
         each, places = np.nonzero(self._simulation.engine.state.present[scenes])
-        for start in range(0, each.size, self._at_once):
-            part = slice(start, start + self._at_once)
-            moments = frames.moments[each[part]]
-            moments["first"], moments["after"] = places[part], places[part] + 1
-            seen = frames.vehicles.view(_WHOLE)[moments["now"]].view(VEHICLE)
-            self._views.see((scenes[each[part]], places[part]), seen)
-            moments["seen"] = np.arange(moments.size)
-            some = frames._replace(moments=moments)
-            self._sums.add(some, self._views.at_fault, seen=seen)
+        moments = frames.moments[each]
+        moments["first"], moments["after"] = places, places + 1
+        was, own = (
+            frames.vehicles[["lane", "target_lane"]][moments[name], places]
+            for name in ("before", "now")
+        )
+        # Who took the gap is searched for among all vehicles.
+        looks_for_all = is_given_up(
+            was["lane"], was["target_lane"], own["lane"], own["target_lane"]
+        )
+        others = self._simulation.settings.vehicles - 1
+        after = np.cumsum(NEAR + others * looks_for_all)
+        moments["seen_after"], moments["seen"][1:] = after, after[:-1]
+        seen = np.empty(after[-1] if each.size else 0, dtype=SEEN)
+        self._views.see((scenes[each], places), after, seen)
+        self._sums.add(frames._replace(moments=moments), self._views.at_fault, seen=seen)
 
     def drivers(self) -> pl.DataFrame:
         """The rows of the traffic's drivers (`columns.DRIVER`)."""

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.collision_kinds import SIDE_COLLISION, STRIKING, STRUCK
 from charms_bench.foundation.arrays import Bools, Floats, Ints
-from charms_bench.foundation.compiled import compiled_of_scenes
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.world.gaps import requires_braking
 from charms_bench.world.road import heading_at, is_on_lane, local_coordinates
@@ -373,11 +373,23 @@ def _beside(road: Network, track: Track) -> Iterator[tuple[int, float, float]]:
 
     In m, and in m/s to the right.
     """
-    for moment in track.moments:
-        lane = int(moment["lane"])
-        s, r = local_coordinates(road, lane, float(moment["x"]), float(moment["y"]))
-        turn = float(moment["heading"]) - heading_at(road, lane, s)
-        yield lane, float(r), float(moment["speed"]) * math.sin(turn)
+    for moment, r, heading in zip(track.moments, *_on_lanes(road, track.moments), strict=True):
+        drift = float(moment["speed"]) * math.sin(float(moment["heading"]) - float(heading))
+        yield int(moment["lane"]), float(r), drift
+
+
+@compiled
+def _on_lanes(road: Network, moments: NDArray[np.void]) -> tuple[Floats, Floats]:
+    """How far a vehicle is to the right of its nearest lane in each step, and that lane's heading.
+
+    In m and rad.
+    """
+    beside, headings = np.empty(moments.size), np.empty(moments.size)
+    for k in range(moments.size):
+        moment = moments[k]
+        s, beside[k] = local_coordinates(road, moment.lane, moment.x, moment.y)
+        headings[k] = heading_at(road, moment.lane, s)
+    return beside, headings
 
 
 def _moved_aside(road: Network, track: Track, most: int) -> bool:

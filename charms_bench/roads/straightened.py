@@ -107,12 +107,23 @@ def see(
     heading = wrap_to_pi(vehicle.heading - heading_on(here, lane_of(here, lanes[best]), at.s))
     scene.heading[v, i] = heading
     scene.direction_y[v, i], scene.direction_x[v, i] = maths.sin_cos(heading)
-    lane = numbers[BEHIND] if i == viewer else min(max(round(y / width), 0), count - 1)
-    scene.lane[v, i] = scene.target_lane[v, i] = lane
-    if lane_of(here, vehicle.target_lane).first == lane_of(here, vehicle.lane).first:
-        target = lane + vehicle.target_lane - vehicle.lane
-        scene.target_lane[v, i] = min(max(target, 0), count - 1)
+    lane = numbers[BEHIND] if i == viewer else lane_at(y, width, count)
+    scene.lane[v, i], scene.target_lane[v, i] = lane, target_beside(here, vehicle, lane, count)
     copy_state(scene, v, i, vehicle)
+
+
+@inlined
+def lane_at(y: float, width: float, count: int) -> int:
+    """The lane of a vehicle in a view, of a road with so many lanes."""
+    return int(min(max(round(y / width), 0), count - 1))
+
+
+@inlined
+def target_beside(here: Here, vehicle: Row, lane: int, count: int) -> int:
+    """The target lane of a vehicle in a view that shows it on a lane."""
+    if lane_of(here, vehicle.target_lane).first != lane_of(here, vehicle.lane).first:
+        return lane
+    return int(min(max(lane + vehicle.target_lane - vehicle.lane, 0), count - 1))
 
 
 @compiled

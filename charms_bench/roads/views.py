@@ -5,14 +5,36 @@ from typing import Any
 import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION
-from charms_bench.engine.views import note_view
+from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Ints
-from charms_bench.foundation.compiled import compiled_of_scenes
+from charms_bench.foundation.compiled import (
+    Unpacked,
+    compiled,
+    compiled_of_scenes,
+    inlined,
+    wrap_to_pi,
+)
 from charms_bench.roads.fault import Fault
-from charms_bench.roads.locating import forget
-from charms_bench.roads.scenes import OBSTACLE, Scenes, here_of, vehicle_of
-from charms_bench.roads.straightened import BEHIND, Ways, find_way, see, straighten
-from charms_bench.world.scene import Scene, SceneSettings, Vehicles
+from charms_bench.roads.locating import coordinates_of, forget, heading_on
+from charms_bench.roads.scenes import OBSTACLE, Here, Scenes, here_of, lane_of, vehicle_of
+from charms_bench.roads.straightened import (
+    BEHIND,
+    Ways,
+    find_way,
+    lane_at,
+    place_on,
+    see,
+    target_beside,
+)
+from charms_bench.world.road import Straight, is_near_lane, is_on_length
+from charms_bench.world.scene import VACANT_X_M, Scene, SceneSettings, Vehicles
+
+ALONG = np.dtype(
+    [(name, "f8") for name in ("x", "y")]
+    + [(name, "i8") for name in ("lane", "target_lane", "k", "place")]
+)
+"""Where a vehicle is along a way, beside lane `k` of it, -1 for none. `place` is a column of its
+own: the vehicles by x."""
 
 
 class RoadViews:
@@ -29,25 +51,28 @@ class RoadViews:
         self._settings, self._scenes, self._state, self._fault = settings, scenes, state, fault
         count = len(scenes.vehicles)
         self._ways = Ways.empty(*state.x.shape)
-        self._own = Scene.empty(settings, count)._replace(
+        self._unpacked = _unpacked(self._ways)
+        self._along = np.zeros(state.x.shape[1], ALONG)
+        self._along["place"] = np.arange(state.x.shape[1])
+        self.own = Scene.empty(settings, count)._replace(
             present=state.present, entry=state.entry, active=state.active
         )
-        self._seen = Scene.empty(settings, count)
         self._entry = np.where(state.present, state.entry, -1)
-        self._roads = np.full(state.x.shape, -1)
-        self.turned: Bools = np.zeros(state.x.shape, dtype=np.bool_)
         self.collision: Ints = np.zeros(state.x.shape, dtype=np.int8)
         self.at_fault: Bools = np.zeros(state.x.shape, dtype=np.bool_)
-        self.follow()
+        self.look(np.arange(count))
 
     def follow(self) -> None:
-        state = self._state
-        is_new = np.where(state.present, state.entry, -1) != self._entry
+        self._follow(np.nonzero(self._state.active)[0])
+
+    def _follow(self, rows: Ints) -> None:
+        entry = np.where(self._state.present, self._state.entry, -1)
+        is_new = entry != self._entry
         if is_new.any():
-            self._entry[is_new] = np.where(state.present, state.entry, -1)[is_new]
+            self._entry = entry
             self._ways.lanes[is_new] = -1
             self.collision[is_new], self.at_fault[is_new] = NO_COLLISION, False
-        follow_all(self._scenes, self._ways, np.nonzero(state.active)[0])
+        follow_all(self._scenes, self._unpacked, rows)
 
     def judge(self) -> None:
         for b, i in zip(*np.nonzero(self._state.crashed & (self.collision == 0)), strict=True):
@@ -55,56 +80,189 @@ class RoadViews:
                 at_fault, how = self._fault.judged(self._scenes, b, i)
                 self.at_fault[b, i], self.collision[b, i] = at_fault == 1.0, how
 
-    @property
-    def own(self) -> Scene:
-        self.follow()
-        rows = np.arange(len(self._own.x))
-        see_themselves(self._scenes, self._own.unpacked, self._ways, rows)
-        roads = self._scenes.road.lanes["first"][self._scenes.vehicles["lane"]]
-        self.turned = roads != self._roads
-        self._roads = roads
-        return self._own
+    def look(self, scenes: Ints) -> None:
+        self._follow(scenes)
+        see_themselves(self._scenes, self.own.unpacked, self._unpacked, scenes)
 
-    def see(self, vehicles: Vehicles, seen: Any) -> None:
+    def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:
         rows, places = vehicles
-        see_scenes(self._scenes, self._seen.unpacked, self._ways, rows, places, seen)
+        own, ways = self.own.unpacked, self._unpacked
+        see_each(self._scenes, own, ways, self._along, rows, places, after, seen)
+
+
+@compiled
+def _unpacked(ways: Any) -> Unpacked:
+    """Unpacks ways; see `roads.scenes`."""
+    return Unpacked(ways)  # type: ignore[no-untyped-call]
 
 
 @compiled_of_scenes
-def follow_all(scenes: Scenes, ways: Ways, rows: Ints) -> None:
+def follow_all(scenes: Scenes, ways: Any, rows: Ints) -> None:
     """Finds the ways of all vehicles of the scenes `rows`."""
+    known = ways.scene
+    lanes, steps = known.lanes, known.steps
     for b in rows:
         here = here_of(scenes, b)
         for i in range(here.places):
-            if vehicle_of(here, i).kind > OBSTACLE:
-                find_way(scenes, b, i, ways)
+            vehicle = vehicle_of(here, i)
+            # As in `find_way`, without a call: nearly all vehicles are still on their lanes.
+            has_changed = lanes[b, i, BEHIND] != vehicle.lane or steps[b, i] != vehicle.route_step
+            if has_changed and vehicle.kind > OBSTACLE:
+                find_way(scenes, b, i, known)
 
 
 @compiled_of_scenes
-def see_themselves(scenes: Scenes, own: Any, ways: Ways, rows: Ints) -> None:
+def see_themselves(scenes: Scenes, own: Any, ways: Any, rows: Ints) -> None:
     """Fills in each vehicle of the scenes `rows` as it sees itself."""
-    scene = own.scene
+    scene, known = own.scene, ways.scene
     for b in rows:
         here = here_of(scenes, b)
         for i in range(here.places):
             forget(here, i)
             if vehicle_of(here, i).kind > OBSTACLE:
-                find_way(scenes, b, i, ways)
-                see(here, i, i, ways, b, BEHIND, scene, b)
+                see(here, i, i, known, b, BEHIND, scene, b)
 
 
 @compiled_of_scenes
-def see_scenes(scenes: Scenes, view: Any, ways: Ways, rows: Ints, places: Ints, seen: Any) -> None:
-    """Fills in where the vehicles are in the views of M vehicles.
+def see_each(
+    scenes: Scenes,
+    own: Any,
+    ways: Any,
+    along: Any,
+    rows: Ints,
+    places: Ints,
+    ends: Ints,
+    seen: Any,
+) -> None:
+    """Fills in what M vehicles see.
 
-    The views of a scene are made in one place, where each finds the order of the one before.
+    Where the others are along a way is found once for all vehicles of a scene that drive along it.
     """
-    scene, last = view.scene, -1
-    for m in range(rows.size):
-        b = rows[m]
-        here = here_of(scenes, b)
-        for i in range(here.places if b != last else 0):
+    road, known = own.scene.road, ways.scene
+    itself, is_done, first, after = own.scene, np.zeros(rows.size, np.bool_), 0, 0
+    while first < rows.size:
+        b = rows[first]
+        here, starts = here_of(scenes, b), known.starts[b]
+        for i in range(here.places):
             forget(here, i)
-        last = b
-        straighten(scenes, here, ways, b, places[m], scene, b)
-        note_view(scene, b, seen[m])
+        while after < rows.size and rows[after] == b:
+            after += 1
+        for m in range(first, after):
+            if is_done[m]:
+                continue
+            i = places[m]
+            find_along(here, road, known, b, i, along)
+            for n in range(m, after):
+                j = places[n]
+                is_like = not is_done[n] and starts[i, BEHIND] == starts[j, BEHIND]
+                if is_like and is_same_way(known, b, i, j):
+                    x, lane = itself.x[b, j], itself.lane[b, j]
+                    mine = seen[ends[n - 1] if n else 0 : ends[n]]
+                    look_around(here, road, known.lanes[b, i], j, x, lane, along, mine)
+                    is_done[n] = True
+        first = after
+
+
+@compiled
+def is_same_way(ways: Ways, b: int, one: int, other: int) -> bool:
+    """Whether two vehicles of a scene drive along the same lanes."""
+    for k in range(ways.lanes.shape[2]):
+        lane = ways.lanes[b, one, k]
+        if lane != ways.lanes[b, other, k]:
+            return False
+        if lane >= 0 and ways.numbers[b, one, k] != ways.numbers[b, other, k]:
+            return False
+        if lane >= 0 and ways.starts[b, one, k] != ways.starts[b, other, k]:
+            return False
+    return True
+
+
+@compiled
+def find_along(here: Here, road: Straight, ways: Ways, b: int, viewer: int, along: Any) -> None:
+    """Fills in where all vehicles [N] are along the way of one, as `straighten` does, in order.
+
+    The viewer is placed like the others.
+    """
+    lanes, numbers, starts = ways.lanes[b, viewer], ways.numbers[b, viewer], ways.starts[b, viewer]
+    width, count = road.lane_width, min(lane_of(here, lanes[BEHIND]).lanes, road.lanes)
+    for i in range(here.places):
+        own = along[i]
+        own.k = k = place_on(here, i, lanes, numbers, -1.5 * width, (count + 0.5) * width, width)
+        own.x = VACANT_X_M
+        if k >= 0:
+            at = coordinates_of(here, i, lanes[k])
+            own.x, own.y = starts[k] + at.s, numbers[k] * width + at.r
+            own.lane = lane = lane_at(own.y, width, count)
+            own.target_lane = target_beside(here, vehicle_of(here, i), lane, count)
+    # As in `engine.neighbours.sort_by_x`: of two that are level, the later one is first.
+    for q in range(1, here.places):
+        i = along[q].place
+        x, m = along[i].x, q
+        while m > 0:
+            j = along[m - 1].place
+            if along[j].x < x or (along[j].x == x and j > i):
+                break
+            along[m].place = j
+            m -= 1
+        along[m].place = i
+
+
+@compiled
+def look_around(
+    here: Here,
+    road: Straight,
+    lanes: Ints,
+    viewer: int,
+    own_x: float,
+    own_lane: int,
+    along: Any,
+    seen: Any,
+) -> None:
+    """Fills in the rows of what a vehicle sees along its lanes.
+
+    Its neighbours are those that `engine.neighbours` finds in its scene as `straighten` makes it.
+    """
+    low, high = 0, along.size
+    while low < high:
+        middle = (low + high) // 2
+        if along[along[middle].place].x < own_x:
+            low = middle + 1
+        else:
+            high = middle
+    sought = 0
+    for side in range(4):
+        seen[side].place = -1
+        sought += side < 3 and 0 <= own_lane + side - 1 < road.lanes
+    for q in range(low, along.size):
+        i = along[q].place
+        if sought == 0:
+            break
+        if i == viewer or along[i].k < 0 or not is_on_length(road, along[i].x):
+            continue
+        for side in range(3):
+            on = own_lane + side - 1
+            if seen[side].place < 0 <= on < road.lanes and is_near_lane(road, on, along[i].y):
+                note(seen[side], i, along[i])
+                lane = lanes[along[i].k]
+                heading = heading_on(here, lane_of(here, lane), coordinates_of(here, i, lane).s)
+                heading = wrap_to_pi(vehicle_of(here, i).heading - heading)
+                seen[side].direction_y, seen[side].direction_x = maths.sin_cos(heading)
+                sought -= 1
+    for q in range(low - 1, -1, -1):
+        i = along[q].place
+        if i == viewer or not is_on_length(road, along[i].x):
+            continue
+        if is_near_lane(road, own_lane, along[i].y):
+            note(seen[3], i, along[i])
+            break
+    for m in range(4, seen.size):
+        i = m - 4 + (m - 4 >= viewer)
+        note(seen[m], i, along[i])
+
+
+@inlined
+def note(seen: Any, i: int, other: Any) -> None:
+    """Fills in a row of what a vehicle sees of vehicle i."""
+    seen.place, seen.x, seen.y = i, other.x, other.y
+    seen.lane, seen.target_lane = other.lane, other.target_lane
+    seen.direction_x, seen.direction_y = 1.0, 0.0

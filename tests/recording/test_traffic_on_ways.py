@@ -11,12 +11,14 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
 from charms_bench.recording.columns import DRIVER_SUMS
+from charms_bench.recording.primitives import NEAR, NOBODY, SEEN
 from charms_bench.recording.recording import Recording
-from charms_bench.roads.engine import RoadEngine
+from charms_bench.roads.engine import RoadEngine, show_each
 from charms_bench.roads.settings import on_road
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scenario import PRESCRIBED
-from charms_bench.world.scene import SceneSettings
+from charms_bench.world.scene import Scene, SceneSettings
 
 FREE = {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0}
 OF_FAULT = ("at_fault", "rear_end_striking", "rear_end_struck", "side")
@@ -98,3 +100,40 @@ def test_every_vehicle_is_counted_on_a_road_where_they_come_and_go() -> None:
     # The way is longer than the chords between decisions, but only a little.
     np.testing.assert_allclose(rows["traffic_distance_m"], driven, rtol=0.03)
     assert rows["traffic_crashed"].sum() > 0
+
+
+@pytest.mark.parametrize("road", ["merge-v1", "roundabout-v1", "intersection-v1", "highway-v0"])
+def test_a_vehicle_has_the_neighbours_that_its_whole_view_has(road: str) -> None:
+    scenes = 4
+    made = simulation(road, scenes, Mixture({PRESCRIBED: 0.5, "human": 0.5}))
+    views, engine = made.engine.views(), made.engine
+    made.step_watchers.append(views.follow)
+    places = made.settings.vehicles
+    width = NEAR + places - 1
+    shown, whole = (Scene.empty(made.settings, n) for n in (scenes, scenes * places))
+    compared = np.zeros(NEAR, dtype=np.int64)
+    while made.scene.active.any():
+        made.step()
+        rows, viewers = np.nonzero(engine.state.present & made.scene.active[:, None])
+        ends = width * np.arange(1, rows.size + 1)
+        seen = np.zeros(rows.size * width, SEEN)
+        views.look(np.nonzero(made.scene.active)[0])
+        views.see((rows, viewers), ends, seen)
+        unpacked = shown.unpacked, whole.unpacked, views._ways
+        show_each(engine.episodes.scenes, *unpacked, rows, viewers)
+        for b, i, own in zip(rows, viewers, seen.reshape(-1, width), strict=True):
+            v = b * places + i
+            leaders = whole.leaders[v, i, [LEFT, OWN, RIGHT]]
+            expected = [*leaders, whole.followers[v, i, OWN]]
+            assert own["place"][:NEAR].tolist() == expected
+            assert own["place"][NEAR:].tolist() == [j for j in range(places) if j != i]
+            for k, row in enumerate(own):
+                j = row["place"]
+                if j == NOBODY or not whole.present[v, j]:
+                    continue
+                names = ("x", "y", "lane", "target_lane")
+                names += ("direction_x", "direction_y") if k < NEAR - 1 else ()
+                for name in names:
+                    assert row[name] == getattr(whole, name)[v, j], (name, b, i, j)
+                compared[k : k + 1] += 1
+    assert (compared[[1, 3]] > 0).all()  # the leader and the follower
