@@ -18,6 +18,8 @@ class Views(Protocol):
     """[B, N] how each vehicle has collided, as indices into `collision_kinds.COLLISIONS`."""
     at_fault: Bools
     """[B, N] whether it is at fault for that; false while that is undecided."""
+    turned: Bools
+    """[B, N] whether it has come to another road between the last two calls of `look`."""
 
     def follow(self) -> None:
         """Notes how far each vehicle has come along its way."""

@@ -158,10 +158,15 @@ class Primitives:
         scene, vehicles = self._scene, self._vehicles
         is_here, was_here = scene.present[scenes], self._present[scenes]
         has_stayed = is_here & was_here & (scene.entry[scenes] == self._entry[scenes])
-        each, places = np.nonzero(is_here & ~has_stayed)
-        before, now = ((moments[name][each], places) for name in ("before", "now"))
+        has_appeared = is_here & ~has_stayed
+        # The lanes of another road have other numbers: this is no lane change.
+        begins = has_appeared if self._views is None else has_appeared | self._views.turned[scenes]
+        each, places = np.nonzero(begins)
+        before = moments["before"][each], places
         for name in ("lane", "target_lane"):
             vehicles[name][before] = getattr(scene, name)[scenes[each], places]
+        each, places = np.nonzero(has_appeared)
+        before, now = ((moments[name][each], places) for name in ("before", "now"))
         vehicles["lane_since"][before] = LONG_AGO
         vehicles["lost"][moments["before"]] |= ~has_stayed
         take(*seen)

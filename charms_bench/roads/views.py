@@ -60,6 +60,8 @@ class RoadViews:
         self._entry = np.where(state.present, state.entry, -1)
         self.collision: Ints = np.zeros(state.x.shape, dtype=np.int8)
         self.at_fault: Bools = np.zeros(state.x.shape, dtype=np.bool_)
+        self._roads = np.full(state.x.shape, -1)
+        self.turned: Bools = np.zeros(state.x.shape, dtype=np.bool_)
         self.look(np.arange(count))
 
     def follow(self) -> None:
@@ -82,6 +84,8 @@ class RoadViews:
 
     def look(self, scenes: Ints) -> None:
         self._follow(scenes)
+        roads = self._scenes.road.lanes["first"][self._scenes.vehicles["lane"]]
+        self.turned, self._roads = roads != self._roads, roads
         see_themselves(self._scenes, self.own.unpacked, self._unpacked, scenes)
 
     def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:

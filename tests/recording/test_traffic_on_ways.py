@@ -102,6 +102,28 @@ def test_every_vehicle_is_counted_on_a_road_where_they_come_and_go() -> None:
     assert rows["traffic_crashed"].sum() > 0
 
 
+@pytest.mark.parametrize("road", ["merge-v1", "roundabout-v1"])
+def test_a_vehicle_that_comes_to_another_road_changes_no_lane(road: str) -> None:
+    scenes = 10
+    made = simulation(road, scenes, OneAgent(PRESCRIBED))
+    recording, table = Recording(made), made.engine.episodes.scenes
+    first = table.road.lanes["first"]
+    changes = np.zeros(scenes)
+    while made.scene.active.any():
+        was, running = table.vehicles["lane"].copy(), made.scene.active.copy()
+        made.step()
+        recording.note()
+        lane = table.vehicles["lane"]
+        is_change = (lane != was) & (first[lane] == first[was]) & made.engine.state.present
+        changes += is_change[:, 1:].sum(axis=1) * running
+    rows = recording.drivers().filter(~pl.col("is_ego"))
+    counted = rows.group_by("episode").agg(pl.col("lane_changes").sum()).sort("episode")
+    # A change within the interval in which the road changes has no place on either.
+    assert changes.sum() > 0
+    np.testing.assert_allclose(counted["lane_changes"], changes, atol=1)
+    assert abs(counted["lane_changes"].sum() - changes.sum()) <= 0.15 * changes.sum()
+
+
 @pytest.mark.parametrize("road", ["merge-v1", "roundabout-v1", "intersection-v1", "highway-v0"])
 def test_a_vehicle_has_the_neighbours_that_its_whole_view_has(road: str) -> None:
     scenes = 4
