@@ -294,6 +294,9 @@ def check_settings(found: SceneSettings, expected: SceneSettings) -> None:
         return
     if found.scenario != expected.scenario:
         raise InputError("the state is of another scenario; use the one with which it was saved")
+    roads = [str(each.network or "a straight road") for each in (found, expected)]
+    if roads[0] != roads[1]:
+        raise InputError(f"the state is of {roads[0]}, and this scene is on {roads[1]}")
     field, one, other = _first_difference(found.model_dump(), expected.model_dump())
     raise InputError(
         f"the state is of another scene: {field} is {one}, and here it is {other}; use the scene "
