@@ -1,5 +1,7 @@
 """The events that are built in, and the lowest level of each episode of a simulation."""
 
+import math
+
 import numpy as np
 
 from charms_bench.engine.simulation import Simulation
@@ -107,6 +109,23 @@ def _checked(event: Event, scene: Scene, rows: Ints) -> Floats:
 
 
 @compiled
+def contact(
+    dx: float, along: float, half_length: float, dy: float, across: float, half_width: float
+) -> tuple[float, float]:
+    """When two rectangles touch, s, and how fast they then close in on each other, m/s.
+
+    They touch once they overlap in both directions; infinity and 0 if they never do. `along` and
+    `across` are the relative speeds of the distances `dx` and `dy`.
+    """
+    begin, end = overlap(dx, along, half_length)
+    start, stop = overlap(dy, across, half_width)
+    time = max(begin, start, 0.0)
+    if time > min(end, stop):
+        return math.inf, 0.0
+    return time, abs(along) if begin >= start else abs(across)
+
+
+@compiled
 def closest_on_network(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
     """As `closest`, among vehicles of any direction.
 
@@ -128,12 +147,9 @@ def closest_on_network(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
             long, wide = scene.length[b, i], scene.width[b, i]
             length = scene.length[b, ego] + long * abs(with_ego) + wide * abs(across_ego)
             width = scene.width[b, ego] + long * abs(across_ego) + wide * abs(with_ego)
-            begin, end = overlap(dx * cos + dy * sin, along, length / 2)
-            start, stop = overlap(dy * cos - dx * sin, across, width / 2)
-            time = max(begin, start, 0.0)
-            if time > min(end, stop):
-                continue
-            closing = abs(along) if begin >= start else abs(across)
+            time, closing = contact(
+                dx * cos + dy * sin, along, length / 2, dy * cos - dx * sin, across, width / 2
+            )
             times[r] = min(times[r], time)
             if 2 * time < inverse_decelerations[r] * closing:
                 inverse_decelerations[r] = 2 * time / closing
@@ -165,12 +181,14 @@ def closest(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
             across = scene.speed[b, i] * scene.direction_y[b, i] - aside
             length = (scene.length[b, i] + scene.length[b, ego]) / 2
             width = (scene.width[b, i] + scene.width[b, ego]) / 2
-            begin, end = overlap(scene.x[b, i] - scene.x[b, ego], along, length)
-            start, stop = overlap(scene.y[b, i] - scene.y[b, ego], across, width)
-            time = max(begin, start, 0.0)
-            if time > min(end, stop):
-                continue
-            closing = abs(along) if begin >= start else abs(across)
+            time, closing = contact(
+                scene.x[b, i] - scene.x[b, ego],
+                along,
+                length,
+                scene.y[b, i] - scene.y[b, ego],
+                across,
+                width,
+            )
             times[r] = min(times[r], time)
             if 2 * time < inverse_decelerations[r] * closing:
                 inverse_decelerations[r] = 2 * time / closing

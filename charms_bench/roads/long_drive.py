@@ -42,7 +42,6 @@ class Drive:
     """How many vehicles were taken out because they had stood for `file_road.STANDING_S`."""
     left: int = 0
     """How many left at an end of the road."""
-    entered: int = 0
     standing: float = 0.0
     """The proportion of the time in which vehicles stood."""
 
@@ -99,7 +98,6 @@ def long_drive(
         happened = task.happened[0]
         found.freed += int((happened == FREED).sum())
         found.left += int((happened == LEFT).sum())
-        found.entered += int((happened == ENTERED).sum())
         is_new = np.isin(happened, (LEFT, CLEARED, FREED, ENTERED))
         was_off, was_wreck = is_off & ~is_new, table["crashed"] & ~is_new
         if step % (60 * hz) == 0:
