@@ -102,7 +102,7 @@ def train(networks: Path, recordings: Path, what: str, seed: int) -> None:
     for done in (folder / "trainings" / "styles").iterdir() if what in ABLATIONS else ():
         if done.name.startswith(("level_1-", "people-", "samples")):  # equal ones have equal names
             shutil.copytree(done, run / done.name, dirs_exist_ok=True)
-    file = _written(suite, folder / f"{what}.yaml")
+    file = written(suite, folder / f"{what}.yaml")
     for stage, name in stages.items():
         if not (folder / f"{name or stage}.json").exists():
             given = ("--only", stage, "--output", run, "--recordings", recordings, "--workers", 1)
@@ -124,7 +124,7 @@ def write_test(networks: Path, runs: Path, name: str) -> Path:
     suite = TESTS[name](networks.resolve())
     suite = {"seed": FIRST_EPISODE, "episodes": EPISODES} | suite | {"suite": name}
     runs.mkdir(parents=True, exist_ok=True)
-    return _written(suite, runs / f"{name}.yaml")
+    return written(suite, runs / f"{name}.yaml")
 
 
 def _found(networks: Path, name: str, label: str, seeds: Iterable[int]) -> list[dict[str, Any]]:
@@ -257,7 +257,7 @@ class _Plain(yaml.SafeDumper):
         return True
 
 
-def _written(suite: dict[str, Any], file: Path) -> Path:
+def written(suite: dict[str, Any], file: Path) -> Path:
     file.write_text(yaml.dump(suite, Dumper=_Plain, sort_keys=False), encoding="utf-8")
     return file
 

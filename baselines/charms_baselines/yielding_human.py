@@ -17,10 +17,13 @@ vehicle arrives at the conflict point. The driver
 The stop line is `STOP_M` before the conflict point, so that neither vehicle is in the other's lane.
 """
 
+import math
+
 import numpy as np
 
 from charms_baselines.human import Human
 from charms_bench.foundation.arrays import Floats
+from charms_bench.foundation.compiled import compiled
 from charms_bench.world.interaction_observation import (
     CLEAR_M,
     EGO,
@@ -30,7 +33,7 @@ from charms_bench.world.interaction_observation import (
     SPEED_MPS,
     Interaction,
 )
-from charms_bench.world.scene import Scene, Vehicles
+from charms_bench.world.scene import Observations, Scene, Vehicles
 
 CROSSING_S, MERGING_S = 6.5, 4.98
 """Critical headways."""
@@ -46,21 +49,30 @@ class YieldingHuman(Human):
 
     def stops(self, scene: Scene, vehicles: Vehicles) -> Floats:
         """The gaps (M,) from M vehicles to the first stop line before which they wait, m."""
-        none = super().stops(scene, vehicles)
         if scene.junctions is None:
-            return none
-        seen = _SEEN(scene, vehicles).astype(np.float64)
-        rows = seen[:, FIRST_CONFLICT:]
-        is_there, own, other, speed, _, is_crossing, right, _ = np.moveaxis(rows, 2, 0)
-        own, other, speed = own * RANGE_M, other * RANGE_M, speed * SPEED_MPS
-        line = own - scene.length[vehicles][:, None] / 2 - STOP_M
-        own_speed = np.maximum(seen[:, EGO, 0] * SPEED_MPS, SLOWEST_MPS)[:, None]
-        at_line = np.maximum(line, 0.0) / own_speed
-        arrives = other / np.maximum(speed, SLOWEST_MPS)
-        leaves = (other + CLEAR_M) / np.maximum(speed, SLOWEST_MPS)
-        critical = np.where(is_crossing > 0, CROSSING_S, MERGING_S)
-        is_second = (right < 0) | ((right == 0) & (arrives < own / own_speed))
-        is_close = (arrives < at_line + critical) & (leaves > at_line)
-        is_inside = (is_crossing > 0) & (np.abs(other) <= CLEAR_M) & (leaves > at_line)
-        waits = (is_there > 0) & (line > -COMMITTED_M) & ((is_second & is_close) | is_inside)
-        return np.asarray(np.where(waits, np.maximum(line, 0.1), none[:, None]).min(axis=1))
+            return super().stops(scene, vehicles)
+        return _stops(_SEEN(scene, vehicles), scene.length[vehicles])
+
+
+@compiled
+def _stops(seen: Observations, lengths: Floats) -> Floats:
+    """The gaps of `YieldingHuman.stops`, from what M vehicles see and their lengths, m."""
+    gaps = np.full(lengths.size, math.inf)
+    for m in range(lengths.size):
+        own_speed = max(np.float64(seen[m, EGO, 0]) * SPEED_MPS, SLOWEST_MPS)
+        for row in seen[m, FIRST_CONFLICT:].astype(np.float64):
+            is_there, own, other, speed, _, is_crossing, right, _ = row
+            own, other = own * RANGE_M, other * RANGE_M
+            speed = max(speed * SPEED_MPS, SLOWEST_MPS)
+            line = own - lengths[m] / 2 - STOP_M
+            if not is_there or line <= -COMMITTED_M:
+                continue
+            at_line = max(line, 0.0) / own_speed
+            arrives, leaves = other / speed, (other + CLEAR_M) / speed
+            critical = CROSSING_S if is_crossing else MERGING_S
+            is_second = right < 0 or (right == 0 and arrives < own / own_speed)
+            is_close = arrives < at_line + critical and leaves > at_line
+            is_inside = is_crossing > 0 and abs(other) <= CLEAR_M and leaves > at_line
+            if (is_second and is_close) or is_inside:
+                gaps[m] = min(gaps[m], max(line, 0.1))
+    return gaps

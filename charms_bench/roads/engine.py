@@ -148,7 +148,7 @@ class RoadEngine(Shown):
     def _show(self, rows: Ints) -> None:
         """Straightens the scenes `rows` (R,) as their egos see them."""
         if rows.size:
-            show(self.episodes.scenes, self._seen.unpacked, self._ways, rows)
+            show(self.episodes.scenes, self._seen.unpacked, self._ways.unpacked, rows)
             self._moved[rows] = False
 
     @cached_property
@@ -352,7 +352,8 @@ class RoadEngine(Shown):
             self._show(np.nonzero(self._moved)[0])
             return self._shown, vehicles
         scenes, views = self.episodes.scenes, self._views
-        show_each(scenes, self._seen.unpacked, views.unpacked, self._ways, rows, places)
+        known = self._seen.unpacked, views.unpacked, self._ways.unpacked
+        show_each(scenes, *known, rows, places)
         return self._shown_views, (self._views_of(vehicles), places)
 
     def _views_of(self, vehicles: Vehicles) -> Ints:
@@ -392,7 +393,8 @@ class RoadEngine(Shown):
     def _carry_out(self, vehicles: Vehicles) -> None:
         """Has M vehicles of the traffic do what their views say."""
         scenes, views = self.episodes.scenes, self._views
-        carry_out(scenes, self._seen.unpacked, views.unpacked, self._ways, *vehicles)
+        known = self._seen.unpacked, views.unpacked, self._ways.unpacked
+        carry_out(scenes, *known, *vehicles)
 
     def advance(self, hold_egos: bool = False, before_move: BeforeMove | None = None) -> None:
         scene = self._seen
@@ -403,9 +405,8 @@ class RoadEngine(Shown):
                 some = np.nonzero((found[1] == 0) == is_ego)[0]
                 if some.size and not (is_ego and hold_egos):
                     self._drive(model, (found[0][some], found[1][some]))
-        views = self._views.unpacked
-        told = rows, ~self._moved[rows]
-        advance(self.episodes.scenes, scene.unpacked, views, self._ways, *told, self._kinds)
+        known = scene.unpacked, self._views.unpacked, self._ways.unpacked
+        advance(self.episodes.scenes, *known, rows, ~self._moved[rows], self._kinds)
         self._moved[rows] = True
         self._entries.note(self.episodes.scenes, rows)
         self._fault.note(self.episodes.scenes, rows)
@@ -419,7 +420,8 @@ class RoadEngine(Shown):
         ways, is_traffic = self._ways, shown is self._shown_views and bool(seats[1][0])
         scene = self._views if is_traffic else self.scene
         kinds = np.stack((ways.open_lanes[vehicles], ways.speed_limits[vehicles]), axis=1)
-        for lanes, limit in np.unique(kinds, axis=0).tolist():
+        is_one = (kinds == kinds[0]).all()
+        for lanes, limit in (kinds[:1] if is_one else np.unique(kinds, axis=0)).tolist():
             some = np.nonzero((kinds == (lanes, limit)).all(axis=1))[0]
             each = seats[0][some], seats[1][some]
             answers = model.drive(self._on_road(is_traffic, int(lanes), limit), each)
@@ -440,19 +442,20 @@ class RoadEngine(Shown):
 
 
 @compiled_of_scenes
-def show(scenes: Scenes, shown: Any, ways: Ways, rows: Ints) -> None:
+def show(scenes: Scenes, shown: Any, ways: Any, rows: Ints) -> None:
     """Straightens the scenes `rows` as their egos see them."""
+    known = ways.scene
     for b in rows:
         here = here_of(scenes, b)
         for i in range(here.places):
             forget(here, i)
-        straighten(scenes, here, ways, b, 0, shown.scene, b)
+        straighten(scenes, here, known, b, 0, shown.scene, b)
 
 
 @compiled_of_scenes
-def show_each(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, places: Ints) -> None:
+def show_each(scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, places: Ints) -> None:
     """Straightens scenes as each of M vehicles sees them."""
-    scene, view, last = shown.scene, views.scene, -1
+    scene, view, known, last = shown.scene, views.scene, ways.scene, -1
     for m in range(rows.size):
         b, v = rows[m], rows[m] * scene.x.shape[1] + places[m]
         here = here_of(scenes, b)
@@ -465,20 +468,20 @@ def show_each(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, pl
                 view.parameters[v, i, k] = scene.parameters[b, i, k]
             for k in range(scene.memory.shape[2]):
                 view.memory[v, i, k] = scene.memory[b, i, k]
-        straighten(scenes, here, ways, b, places[m], view, v)
+        straighten(scenes, here, known, b, places[m], view, v)
         last = b
 
 
 @compiled_of_scenes
-def carry_out(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, places: Ints) -> None:
+def carry_out(scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, places: Ints) -> None:
     """Has M vehicles do what their views say."""
-    scene, view, last = shown.scene, views.scene, -1
+    scene, view, known, last = shown.scene, views.scene, ways.scene, -1
     for m in range(rows.size):
         b, i, v = rows[m], places[m], rows[m] * scene.x.shape[1] + places[m]
         here = here_of(scenes, b)
         for j in range(here.places if b != last else 0):
             forget(here, j)
-        take(here, ways, b, i, view, v)
+        take(here, known, b, i, view, v)
         last = b
 
 
@@ -528,7 +531,7 @@ def packed(kind: np.dtype[Any]) -> np.dtype[Any]:
 
 @compiled_of_scenes
 def advance(
-    scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, told: Bools, kinds: Ints
+    scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, told: Bools, kinds: Ints
 ) -> None:
     """One simulation step of the scenes `rows`, after the agents have answered.
 
@@ -543,6 +546,7 @@ def advance(
     """
     profile = shown.scene.constants
     can_reverse = profile.can_reverse and profile.speed_min < 0.0
+    known = ways.scene
     for r in range(rows.size):
         b, scene = rows[r], shown.scene
         here = here_of(scenes, b)
@@ -552,7 +556,7 @@ def advance(
         acceleration, steering = ego.acceleration, ego.steering
         if told[r]:
             acceleration, steering = scene.acceleration[b, 0], scene.steering[b, 0]
-            take(here, ways, b, 0, scene, b)
+            take(here, known, b, 0, scene, b)
         for i in range(here.places):
             if kinds[b, i] != BY_ENVIRONMENT and decides_lane(here, vehicle_of(here, i)):
                 change_to_route(here, i)
@@ -581,7 +585,7 @@ def advance(
                 vehicle.acceleration -= vehicle.speed / here.constants.dt
                 vehicle.speed = 0.0
             vehicle.timer_s += here.constants.dt
-            find_way(scenes, b, i, ways)
+            find_way(scenes, b, i, known)
         collide(here)
 
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class RoadJunctions:
         """Completes the observations `interaction` of M vehicles that have just been shown."""
         rows, places = vehicles[0] // self.views, vehicles[1]
         episodes = self.episodes
-        known = episodes.scenes, self.ways, episodes.conflicts
+        known = episodes.scenes, self.ways.unpacked, episodes.conflicts
         _describe(*known, rows, places, occlusion, observations)
 
 
@@ -66,7 +66,7 @@ class _Meeting(NamedTuple):
 @compiled_of_scenes
 def _describe(
     scenes: Scenes,
-    ways: Ways,
+    ways: Any,
     table: Conflicts,
     rows: Ints,
     places: Ints,
@@ -77,10 +77,11 @@ def _describe(
     meeting = _Meeting(
         np.zeros(count, np.bool_), np.zeros(count, np.int64), np.zeros(count), np.zeros(count)
     )
+    known = ways.scene
     for m in range(rows.size):
         b, i = rows[m], places[m]
-        _write_way(scenes, ways, b, i, out[m, EGO], out[m, WAY])
-        _meet(scenes, ways, table, b, i, meeting, out[m, WAY])
+        _write_way(scenes, known, b, i, out[m, EGO], out[m, WAY])
+        _meet(scenes, known, table, b, i, meeting, out[m, WAY])
         for j in range(count if occlusion else 0):
             meeting.found[j] = meeting.found[j] and not _is_hidden(scenes, b, i, j)
         _write_conflicts(scenes, table, b, i, meeting, out[m])

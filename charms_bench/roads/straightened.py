@@ -7,14 +7,15 @@ at most one lane from the viewer's road.
 """
 
 import math
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from charms_bench.engine.neighbours import find_neighbours, sort_by_x
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.foundation.compiled import compiled, inlined, wrap_to_pi
+from charms_bench.foundation.compiled import Unpacked, compiled, inlined, wrap_to_pi
 from charms_bench.roads.locating import coordinates_of, heading_on
 from charms_bench.roads.looking_ahead import speed_ahead
 from charms_bench.roads.scenes import NOTHING, Here, Row, Scenes, lane_of, vehicle_of
@@ -26,8 +27,14 @@ BEHIND, AHEAD = 3, 6
 """How many lanes of the way behind and ahead of the viewer's lane are in the view."""
 
 
-class Ways(NamedTuple):
-    """The ways of vehicles, K = BEHIND + 1 + AHEAD lanes each; the lane `BEHIND` is its own."""
+@compiled
+def _unpacked(ways: Any) -> Unpacked:
+    """Unpacks ways; see `roads.scenes`."""
+    return Unpacked(ways)  # type: ignore[no-untyped-call]
+
+
+class _Fields(NamedTuple):
+    """The fields of `Ways`."""
 
     lanes: Ints
     """[B, N, K] -1 for none."""
@@ -43,6 +50,18 @@ class Ways(NamedTuple):
     """[B, N] how many lanes of the viewer's road, from the left, may be driven on."""
     speed_limits: Floats
     """[B, N] those of the viewers' lanes, m/s."""
+
+
+class Ways(_Fields):
+    """The ways of vehicles, K = BEHIND + 1 + AHEAD lanes each; the lane `BEHIND` is its own."""
+
+    @cached_property
+    def unpacked(self) -> Unpacked:
+        """The ways for compiled code, which unpacks them once."""
+        return _unpacked(self)
+
+    def __getstate__(self) -> None:
+        """A copy of the ways is unpacked anew."""
 
     @classmethod
     def empty(cls, scenes: int, vehicles: int) -> "Ways":

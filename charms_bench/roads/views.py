@@ -7,13 +7,7 @@ import numpy as np
 from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Ints
-from charms_bench.foundation.compiled import (
-    Unpacked,
-    compiled,
-    compiled_of_scenes,
-    inlined,
-    wrap_to_pi,
-)
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined, wrap_to_pi
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.locating import coordinates_of, forget, heading_on
 from charms_bench.roads.scenes import OBSTACLE, Here, Scenes, here_of, lane_of, vehicle_of
@@ -51,7 +45,6 @@ class RoadViews:
         self._settings, self._scenes, self._state, self._fault = settings, scenes, state, fault
         count = len(scenes.vehicles)
         self._ways = Ways.empty(*state.x.shape)
-        self._unpacked = _unpacked(self._ways)
         self._along = np.zeros(state.x.shape[1], ALONG)
         self._along["place"] = np.arange(state.x.shape[1])
         self.own = Scene.empty(settings, count)._replace(
@@ -74,7 +67,7 @@ class RoadViews:
             self._entry = entry
             self._ways.lanes[is_new] = -1
             self.collision[is_new], self.at_fault[is_new] = NO_COLLISION, False
-        follow_all(self._scenes, self._unpacked, rows)
+        follow_all(self._scenes, self._ways.unpacked, rows)
 
     def judge(self) -> None:
         for b, i in zip(*np.nonzero(self._state.crashed & (self.collision == 0)), strict=True):
@@ -86,18 +79,12 @@ class RoadViews:
         self._follow(scenes)
         roads = self._scenes.road.lanes["first"][self._scenes.vehicles["lane"]]
         self.turned, self._roads = roads != self._roads, roads
-        see_themselves(self._scenes, self.own.unpacked, self._unpacked, scenes)
+        see_themselves(self._scenes, self.own.unpacked, self._ways.unpacked, scenes)
 
     def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:
         rows, places = vehicles
-        own, ways = self.own.unpacked, self._unpacked
+        own, ways = self.own.unpacked, self._ways.unpacked
         see_each(self._scenes, own, ways, self._along, rows, places, after, seen)
-
-
-@compiled
-def _unpacked(ways: Any) -> Unpacked:
-    """Unpacks ways; see `roads.scenes`."""
-    return Unpacked(ways)  # type: ignore[no-untyped-call]
 
 
 @compiled_of_scenes

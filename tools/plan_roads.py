@@ -1,0 +1,202 @@
+"""The plan of docs/training-plan-roads.md: drives its networks and writes what they do.
+
+    python tools/plan_roads.py drive NETWORKS RUNS [TEST ...]
+    python tools/plan_roads.py tables NETWORKS RUNS
+
+NETWORKS/SEED is the run folder of the training with that seed, and RUNS gets that of each test.
+What is finished is not driven again. `tables` writes `docs/results/plan-roads-*`.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from plan import written
+from plan_seeds import OVER, SEED, Columns, mean_of, summary
+from result_pages import RESULTS, ROOT, keep, refill
+
+import charms_bench
+from charms_bench.errors import RunFolderError
+from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
+from charms_bench.report.markdown import markdown
+from charms_bench.report.table import Table
+from charms_bench.runs.finished_run import open_finished
+
+CHARMS, LEVEL_1 = "CHARMS", "Level-1"
+MERGE, EXIT, ROUNDABOUT = "merge-v1", "exit-v1", "roundabout-v1"
+INTERSECTION = {"name": "intersection-v1", "duration_s": 30.0}
+OWN, PEOPLE = "environment", {"traffic": "yielding_human", "label": "Yielding human"}
+UNKNOWN = [{"traffic": "human", "label": "Human"}, {"traffic": "idm_mobil", "label": "IDM+MOBIL"}]
+RULES = [
+    {"agent": "human", "label": "Human"},
+    {"agent": "yielding_human", "label": "Yielding human"},
+    {"agent": "idm_mobil", "label": "IDM+MOBIL"},
+    {"agent": "charms", "label": "CHARMS of the straight road"},
+]
+GENERIC = [
+    {"name": "merge-generic-v1", "label": "merge-generic-v1, 4 lanes, 12 vehicles",
+     "configuration": {"lanes_count": 4, "vehicles_count": 12}},
+    {"name": "roundabout-generic-v1", "label": "roundabout-generic-v1, radius 40 m, 3 lanes",
+     "configuration": {"roundabout_radius": 40, "roundabout_lanes": 3}},
+]  # fmt: skip
+OTHERS = ["merge-v0", "exit-v0", "roundabout-v0", "u-turn-v1", "two-way-v0", "merge-generic-v1",
+          "roundabout-generic-v1"]  # fmt: skip
+THREE = [MERGE, EXIT, ROUNDABOUT]
+TESTS: dict[str, dict[str, Any]] = {
+    "validation": {"seed": 975_000_000, "episodes": 300, "roads": [*THREE, INTERSECTION]},
+    "validation-people": {
+        "seed": 975_000_000, "episodes": 300, "roads": THREE, "traffic_models": [PEOPLE]
+    },
+    "own": {"roads": [*THREE, INTERSECTION]},
+    "people": {"roads": THREE, "traffic_models": [PEOPLE]},
+    "unknown": {"roads": THREE, "traffic_models": UNKNOWN},
+    "generic": {"roads": GENERIC},
+    "others": {"roads": OTHERS},
+}  # fmt: skip
+"""What each suite adds to 600 episodes from seed 985,000,000 of 45 s."""
+VALIDATION = "validation", "validation-people"
+"""What selects, and is no test."""
+LIMITS = {  # goal reached, at fault
+    MERGE: (0.98, 0.005), EXIT: (0.95, 0.01), ROUNDABOUT: (0.92, 0.02),
+    "intersection-v1": (0.92, 0.02),
+}  # fmt: skip
+COLUMNS: Columns = {
+    "reached": ("goal reached", ".1%", min),
+    "at_fault": ("at fault or undecided", ".2%", max),
+    "crashed": ("crashed", ".2%", max),
+    "time_s": ("mean time, s", ".1f", max),
+    "wrecks": ("episodes with wrecks", ".1%", None),
+}
+
+
+def seeds_of(networks: Path) -> list[int]:
+    """The seeds whose efficient egoistic networks are there."""
+    return sorted(int(each.parts[-3]) for each in networks.glob("*/networks/efficient_egoistic.*x"))
+
+
+def drive(networks: Path, runs: Path, *tests: str) -> None:
+    """Drives tests, by default all but those of the validation."""
+    runs.mkdir(parents=True, exist_ok=True)
+    for test in tests or [name for name in TESTS if name not in VALIDATION]:
+        egos = [*RULES]
+        for label, name in ((LEVEL_1, "level_1"), (CHARMS, "efficient_egoistic")):
+            for seed in seeds_of(networks):
+                file = networks.resolve() / str(seed) / "networks" / f"{name}.onnx"
+                egos.append({"agent": str(file), "label": f"{label}{SEED}{seed}"})
+        common = {"suite": test, "seed": 985_000_000, "episodes": 600, "scene": {"duration_s": 45}}
+        charms_bench.run(written(common | TESTS[test] | {"egos": egos}, runs / f"{test}.yaml"),
+                         runs / test)  # fmt: skip
+
+
+def values_of(runs: Path, test: str) -> pl.DataFrame:
+    """The values of a test, one row per road, traffic and network; none if it is not driven.
+
+    Crashes of which the rule of fault says nothing count as at fault, and where the ego does not
+    reach the goal, its time is the duration.
+    """
+    try:
+        run = open_finished(runs / test)
+    except RunFolderError as error:
+        print(f"{test}: left out: {error}")
+        return pl.DataFrame()
+    records = []
+    for index in run.finished:
+        cell, limit_s = run.cell(index), run.suite.cells[index].scene.duration_s
+        ego, _, seed = cell.agent.partition(SEED)
+        time = pl.when(ENDING == "goal").then(pl.first("duration_s")).otherwise(limit_s)
+        found = {
+            "reached": ENDING == "goal",
+            "at_fault": ENDED_BADLY & AT_FAULT.fill_null(value=True),
+            "crashed": ENDED_BADLY,
+            "time_s": time,
+            "wrecks": pl.first("traffic_crashed") > 0,
+        }
+        values = cell.episodes.group_by("episode").agg(**found).select(pl.col(*found).mean())
+        known = {"road": cell.road, "traffic": cell.traffic, "ego": ego}
+        records.append(known | {"seed": int(seed) if seed else None} | values.row(0, named=True))
+    return pl.DataFrame(records, infer_schema_length=None)
+
+
+def limits(values: pl.DataFrame) -> str:
+    """The limits of the plan, for each cell: the means of the seeds and whether they hold."""
+    records = []
+    for (road, traffic), cell in values.group_by("road", "traffic", maintain_order=True):
+        human_s = cell.filter(ego="Human")["time_s"][0]
+        goal, fault = LIMITS[str(road)]
+        for column, bound, sign in (
+            ("reached", goal, 1),
+            ("at_fault", fault, -1),
+            ("time_s", human_s, -1),
+        ):
+            header, form, worst = COLUMNS[column]
+            each = cell.filter(ego=CHARMS)[column].to_numpy()
+            mean = mean_of(each, 0.0, 1.0 if form.endswith("%") else np.inf)
+            ends = f" [{mean.low:{form}}, {mean.high:{form}}]" if mean.low is not None else ""
+            record = {"road": road, "traffic": traffic, "quantity": header}
+            record |= {
+                "limit": f"{bound:{form}}",
+                "mean of the seeds": f"{mean.value:{form}}{ends}",
+            }
+            record |= {"worst seed": f"{worst(each):{form}}" if worst else ""}
+            record |= {"mean holds": "yes" if sign * each.mean() >= sign * bound else "no"}
+            records.append(record)
+    return markdown(Table.plain(records, tuple(records[0]), {}))
+
+
+def selected(values: pl.DataFrame) -> pl.DataFrame:
+    """The seeds by the rule of selection, the first of which becomes CHARMS."""
+    human = values.filter(ego="Human").select("road", "traffic", human_s="time_s")
+    charms = values.filter(ego=CHARMS).join(human, on=["road", "traffic"])
+    goal, fault = (
+        pl.col("road").replace_strict({road: each[k] for road, each in LIMITS.items()})
+        for k in (0, 1)
+    )
+    met = [pl.col("reached") >= goal, pl.col("at_fault") <= fault]
+    met.append(pl.col("time_s") <= pl.col("human_s"))
+    return (
+        charms.with_columns(limits_met=pl.sum_horizontal(*met))
+        .group_by("seed")
+        .agg(pl.sum("limits_met"), pl.mean("reached", "at_fault", "crashed", "time_s"))
+        .sort(-pl.col("limits_met"), "at_fault", "time_s")
+    )
+
+
+def trained(networks: Path) -> pl.DataFrame:
+    """Each network of the plan, with its hash and CPU minutes."""
+    records = []
+    for seed in seeds_of(networks):
+        for path in sorted((networks / str(seed) / "networks").glob("*.json")):
+            manifest = json.loads(path.read_text(encoding="utf-8"))
+            minutes = round(manifest["cpu_s"] / 60, 2)
+            found = {"network": path.stem, "seed": seed, "onnx_sha256": manifest["onnx_sha256"]}
+            records.append(found | {"CPU minutes": minutes})
+    return pl.DataFrame(records)
+
+
+def tables(networks: Path, runs: Path) -> None:
+    """Writes the tables of the plan and the CSV files beside them."""
+    trained(networks).write_csv(RESULTS / "plan-roads-trainings.csv")
+    found = {test: values_of(runs, test) for test in TESTS}
+    found = {test: values for test, values in found.items() if len(values)}
+    of_validation = [found.pop(test) for test in VALIDATION if test in found]
+    if len(of_validation) == len(VALIDATION):
+        seeds = selected(pl.concat(of_validation)).with_columns(pl.col("seed").cast(str))
+        forms = {"limits_met": ".0f"} | {name: COLUMNS[name][1] for name in seeds.columns[2:]}
+        keep("plan-roads-selection", markdown(Table.plain(seeds.to_dicts(), ("seed",), forms)))
+    if found.keys() >= {"people", "own"}:
+        keep("plan-roads-limits", limits(pl.concat((found["people"], found["own"]))))
+    if found:
+        every = pl.concat(found.values()).with_columns(pl.selectors.float().round_sig_figs(6))
+        every.write_csv(RESULTS / "plan-roads-values.csv")
+        keep("plan-roads", summary(every, COLUMNS, ("road", "traffic", "ego", OVER)))
+    refill(ROOT / "docs" / "training-plan-roads.md")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 4 or sys.argv[1] not in ("drive", "tables"):
+        sys.exit("usage: python tools/plan_roads.py drive|tables NETWORKS RUNS [TEST ...]")
+    folders = Path(sys.argv[2]), Path(sys.argv[3])
+    drive(*folders, *sys.argv[4:]) if sys.argv[1] == "drive" else tables(*folders)
