@@ -12,7 +12,6 @@ manifest and its learning curve are written. Finished seeds are not trained agai
 
 import argparse
 import hashlib
-import json
 import time
 from importlib.metadata import version
 from pathlib import Path
@@ -23,7 +22,7 @@ import torch
 from charms_agents.training.curve import Point, point_of, write_csv
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.job import reinforcement_job
-from charms_agents.training.network_file import read_network
+from charms_agents.training.network_file import read_network, write_manifest
 from charms_agents.training.sb3_export import NOT_OBSERVATIONS, export_zip
 from charms_agents.training.settings import EPISODES_OF_A_SEED, Stage, TrainingSuite
 from charms_agents.training.standardised import folded, standardise, unfolded
@@ -37,7 +36,6 @@ from torch.nn.functional import log_softmax
 
 from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.envs.vector_env import HighwayVectorEnv
-from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.world.scene import Observations
@@ -241,7 +239,7 @@ def train(suite: TrainingSuite, name: str, algorithm: str, trial: str, folder: P
         "versions": {each: version(each) for each in VERSIONS},
     }
     # Written last: from now on, the seed is finished.
-    write_bytes(folder / f"{algorithm}.json", f"{json.dumps(manifest, indent=2)}\n".encode())
+    write_manifest(folder / f"{algorithm}.json", manifest)
 
 
 def _take_plain_observations(model: DQN | PPO) -> None:

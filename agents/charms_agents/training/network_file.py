@@ -3,8 +3,11 @@
 `onnx_input` has what comes before them.
 """
 
+import json
+from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -17,7 +20,7 @@ from torch.nn import LSTM, Module, ReLU, Sequential
 from charms_agents.training.network import ACTIVATIONS, layers_of, network_of
 from charms_agents.training.onnx_input import Given, Graph, port
 from charms_bench.errors import ModelError
-from charms_bench.foundation.files import write_atomically
+from charms_bench.foundation.files import write_atomically, write_bytes
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.onnx_ports import MASK_INPUT, NOISE_INPUT
 from charms_bench.world.action_mask import masks_of
@@ -280,3 +283,9 @@ def _add_cells(graph: Graph, lstm: LSTM, index: int, last: str) -> str:
     graph.inputs.extend(port(name, 1, "batch", units) for name in before)
     graph.outputs.extend(port(name, 1, "batch", units) for name in then)
     return then[0]
+
+
+def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
+    """Writes what a network depends on and how it was made, one line for each key."""
+    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in manifest.items()]
+    write_bytes(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())

@@ -16,12 +16,12 @@ from torch.utils.tensorboard import SummaryWriter
 
 from charms_agents.training.curve import write_csv
 from charms_agents.training.job import Job
-from charms_agents.training.network_file import export
+from charms_agents.training.network_file import export, write_manifest
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.stage_progress import Tell
 from charms_agents.training.supervised import Fit
 from charms_bench.errors import RunFolderError
-from charms_bench.foundation.files import write_atomically, write_bytes
+from charms_bench.foundation.files import write_atomically
 
 _VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "torch")
 _UNSUITABLE = (OSError, EOFError, BadZipFile, KeyError, ValueError, TypeError, RuntimeError)
@@ -66,7 +66,7 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
         "machine": {"system": platform.system(), "processor": platform.machine()},
     }
     # Written last: from now on, the stage is finished.
-    write_bytes(job.file(".json"), f"{json.dumps(manifest, indent=2)}\n".encode())
+    write_manifest(job.file(".json"), manifest)
 
 
 @dataclass
