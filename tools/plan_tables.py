@@ -72,7 +72,7 @@ SCORES = ("closed_loop", "given_scene", "events", "total")
 """Of likeness; the total is the lowest of the others."""
 KEPT = {"trainings", "curves"}
 """The values that pages link to."""
-CURVE_BYTES = 125_000
+CURVE_BYTES = 60_000
 CURVE = ("steps", "return_mean", "crashed_share", "epoch", "log_likelihood", "agreement")
 """The columns of learning curves that are kept: of reinforcement, and of learning from humans."""
 WORST = f"{CHARMS}, worst seed"
