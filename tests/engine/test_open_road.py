@@ -160,18 +160,6 @@ def test_vehicles_that_enter_have_the_types_of_the_scene() -> None:
     assert stats.kstest(of_cars, stats.truncnorm(-2, 2, loc=30, scale=3).cdf).pvalue > 1e-3
 
 
-@pytest.mark.slow
-def test_both_engines_agree_while_vehicles_come_and_go() -> None:
-    ours, theirs = started(seeds=2), started("highway-env", seeds=2)
-    for one, other in zip(moments(ours), moments(theirs), strict=True):
-        for name in ("present", "entry", "target_lane", "crashed"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
-        for name in ("x", "y", "speed", "length", "target_speed", "timer_s", "parameters"):
-            found = (getattr(scene, name)[scene.present] for scene in (one, other))
-            np.testing.assert_allclose(*found, rtol=0, atol=1e-9, err_msg=name)
-    assert (ours.ending == theirs.ending).all()
-
-
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_restored_scene_continues_with_the_same_vehicles(engine: EngineName) -> None:
     made, later = started(engine, seeds=2), started(engine, seeds=2)

@@ -158,21 +158,6 @@ CASES = [
 ]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("episodes", [3, pytest.param(27, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("ego", "traffic"), CASES)
-def test_both_engines_agree(tmp_path: Path, ego: str | None, traffic: str, episodes: int) -> None:
-    settings = scene_of(tmp_path, flowing_road(10))
-    case = Case(
-        scene=settings,
-        ego=None if ego is None else AgentSpec(name=ego),
-        traffic=TrafficSpec(name=traffic),
-    )
-    found = compare(case, 0, episodes)
-    assert found.differences == ()
-    assert found.steps > 30 * episodes
-
-
 def test_both_engines_agree_on_a_vehicle_that_is_recorded_rolling_back(tmp_path: Path) -> None:
     standing = [Row(frame=k + 1, x=100.0, vx=-0.001) for k in range(21)]
     driving = driven(Row(vehicle=2, x=120.0, vx=20.0), 21, rate=10)

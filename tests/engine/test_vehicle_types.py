@@ -112,26 +112,6 @@ def test_parameters_of_a_type_are_uniform_in_its_range() -> None:
     assert stats.kstest((of_cars - 1.0) / 3.0, "uniform").pvalue > 1e-3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("profile", ["charms", "highway-env"])
-@pytest.mark.parametrize("ego", ["idm_mobil", "stackelberg", "varied"])
-def test_both_engines_move_trucks_and_cars_alike(profile: str, ego: str) -> None:
-    motorcycle = {"name": "motorcycle", "proportion": 0.25, "length_m": 2.0, "width_m": 0.8}
-    types = ({**CAR, "proportion": 0.5}, TRUCK, motorcycle)
-    settings = settings_of(*types, profile=profile, density=2.5, ego_type="truck")
-    ours, theirs = (started(settings, 2, engine, ego) for engine in ENGINES)
-    for step in range(100):
-        for made in (ours, theirs):
-            made.advance()
-            made.phase = 0 if made.phase == settings.steps_per_decision else made.phase
-        for name in ("x", "y", "heading", "speed", "acceleration", "target_speed"):
-            one, other = (getattr(made.scene, name) for made in (ours, theirs))
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-6, err_msg=f"{name} {step}")
-        for name in ("length", "width", "lane", "target_lane", "crashed", "parameters"):
-            one, other = (getattr(made.scene, name) for made in (ours, theirs))
-            np.testing.assert_array_equal(one, other, f"{name} {step}")
-
-
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_state_continues_with_its_types_in_either_engine(engine: EngineName) -> None:
     made, continued = started(ego="varied"), started(engine=engine, ego="varied")
