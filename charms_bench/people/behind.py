@@ -1,4 +1,4 @@
-"""Agents and traffic models in the place of recorded drivers, simulated by the engine."""
+"""Simulates agents and traffic models in place of recorded drivers."""
 
 from collections.abc import Mapping, Sequence
 

@@ -49,7 +49,7 @@ DISTANCES = {
     "wasserstein": "First Wasserstein distance, m/s or m: how far one distribution has to be "
     f"moved, on average, to become the other. Its bins are {BIN:g} m/s and {BIN:g} m wide",
 }
-"""What each distance is."""
+"""The definition of each distance."""
 FLOOR = "(sampling-noise floor)"
 WITHIN_LIMITS = "(speed limits of the profile)"
 OVERSHOOT_MPS = 0.4
