@@ -270,27 +270,6 @@ def test_others_take_over_once_the_ego_deviates(tmp_path: Path) -> None:
     assert follower.drivers[0, 1] == "recorded"
 
 
-@pytest.mark.parametrize("traffic", ["recorded", UNTIL, "idm_mobil"])
-@pytest.mark.parametrize("engine", ["batched", "highway-env"])
-def test_a_saved_state_continues_as_if_it_had_not_been_saved(
-    tmp_path: Path, traffic: str, engine: EngineName
-) -> None:
-    settings = scene_of(tmp_path, flowing_road(10))
-    whole = simulation_of(settings, "idm_mobil", traffic, 3, engine)
-    for _ in range(25):
-        whole.advance()
-        if whole.phase == 10:
-            whole.finish_step()
-    branch = simulation_of(settings, "idm_mobil", traffic, 3, engine)
-    branch.restore(whole.state())
-    for simulation in (whole, branch):
-        for _ in range(20):
-            simulation.advance()
-            if simulation.phase == 10:
-                simulation.finish_step()
-    assert whole.state() == branch.state()
-
-
 def test_a_state_of_a_recording_is_not_written_to_a_file(tmp_path: Path) -> None:
     state = simulation_of(scene_of(tmp_path, flowing_road(10)), scenes=1).state()
     with pytest.raises(InputError, match="a state of a recorded scene stays in memory"):
