@@ -9,7 +9,7 @@ vehicle arrives at the conflict point. The driver
    Capacity Manual (6th edition, 2016): 6.5 s to cross (chapter 20, through traffic of the minor
    street under two-way stop control), and 4.98 s to merge (chapter 22, the entry of a roundabout
    with one lane);
-2. otherwise approaches the stop line as a standing leader, with the driver's own IDM;
+2. otherwise approaches the stop line as a stationary leader, with the driver's own IDM;
 3. does not stop beyond the line any more;
 4. if nothing says who has the right of way, gives way to the vehicle that arrives first;
 5. never drives into a conflict point that another vehicle occupies.

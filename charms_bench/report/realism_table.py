@@ -150,7 +150,7 @@ def smallest_distances(human: Floats, limits: tuple[float, float], n: int) -> di
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
-    """The table of realism from its long frame; the nearest traffics are marked, see `NOTE`."""
+    """The table of realism from its long frame; the nearest models are marked, see `NOTE`."""
     table = Table.from_frame(
         frame,
         f"{suite.suite}-realism",

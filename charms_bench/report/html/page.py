@@ -21,7 +21,7 @@ SCRIPTS = ("tables.js", "player.js", "controls.js")
 
 
 def check_page(path: Path) -> None:
-    """Refuses a file name that is not a page's.
+    """Rejects a file name that is not a page's.
 
     Raises:
         InputError: The name does not end in `.html`.
