@@ -31,7 +31,7 @@ FIRST_SEED = 900_000_000
 
 
 class Case(NamedTuple):
-    """An ego in a traffic in a kind of scene."""
+    """An ego in a traffic model in a kind of scene."""
 
     ego: str
     traffic: dict[str, float]

@@ -247,11 +247,11 @@ TESTS: dict[str, Callable[[Path], dict[str, Any]]] = {
 }
 """The suite of each test, for a folder of networks."""
 TUNING = ("trials", "validation")
-"""What selects, and is no test."""
+"""Suites that select networks, and are not tests."""
 
 
 class _Plain(yaml.SafeDumper):
-    """Writes what is there twice twice; suites have no aliases."""
+    """Writes equal parts in full, because suites have no aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True

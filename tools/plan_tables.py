@@ -59,7 +59,7 @@ SURVIVORS = {
     "careful": ["Careful until clear", "Careful to standstill"],
     "any": [RULE, "Careful until clear", "Careful to standstill"],
 }
-"""The egos of which one has to survive a scenario, by column of `SCENARIOS`."""
+"""The egos; one of them has to survive a scenario. By column of `SCENARIOS`."""
 SCENARIOS: Columns = {
     "crashed": ("crashed", ".2%", max),
     "at_fault": ("crashed at fault", ".2%", max),
@@ -72,7 +72,7 @@ SCORES = ("closed_loop", "given_scene", "events", "total")
 """Of likeness; the total is the lowest of the others."""
 KEPT = {"trainings", "curves"}
 """The values that pages link to."""
-CURVE_BYTES = 125_000
+CURVE_BYTES = 60_000
 CURVE = ("steps", "return_mean", "crashed_share", "epoch", "log_likelihood", "agreement")
 """The columns of learning curves that are kept: of reinforcement, and of learning from humans."""
 WORST = f"{CHARMS}, worst seed"
@@ -288,7 +288,7 @@ TABLES: dict[str, tuple[tuple[str, ...], Callable[[Frames], str]]] = {
     "trainings": (("trainings", "curves"), plan_trainings),
     "criteria": (tuple(FRAMES), lambda frames: criteria_table(frames["criteria"])),
 }
-"""By name: the values that a table needs, and what makes it. `criteria` takes those there are."""
+"""By name: the values that a table needs, and what makes it. `criteria` takes all that exist."""
 
 
 def values_of(runs: Path, frame: str, missing: dict[str, str]) -> pl.DataFrame | None:

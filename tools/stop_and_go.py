@@ -214,7 +214,7 @@ def shock_speeds(jammed: Flow) -> tuple[float, float]:
     """The speed of a jam's upstream front, km/h, while it passes the section.
 
     It is measured, and computed from the flows and the densities of up to 500 m on both sides of
-    the front (Rankine and Hugoniot), of which 200 m in between are left out.
+    the front (Rankine and Hugoniot), leaving out 200 m in between.
     """
     counts, sums = jammed.cells[:, :, 0], jammed.cells[:, :, 1]
     is_slow = (counts > 0) & (sums < FRONT_MPS * counts)

@@ -75,7 +75,7 @@ PCH = {**TRAFFIC, "ego's speed, m/s": ("speed_mean", ".2f"), **EGO_STD}
 
 
 def of_suite(columns: Mapping[str, tuple[str, str]], run: Path) -> str:
-    """The table of a suite, an agent or a traffic per row."""
+    """The table of a suite, with one agent or traffic model per row."""
     return markdown(shown(tables_of(run).metrics, columns))
 
 
@@ -115,7 +115,7 @@ def rates(columns: Mapping[str, tuple[str, str]], run: Path) -> str:
 
 
 def shown(table: Table, columns: Mapping[str, tuple[str, str]]) -> Table:
-    """A suite's table with these columns, of which only shares keep their intervals."""
+    """A suite's table with these columns; only proportions keep their intervals."""
     table = chosen(table, columns)
     rows = []
     for row in table.rows:

@@ -43,7 +43,7 @@ class Training(NamedTuple):
     settings: dict[str, Any]
     """What differs from the defaults of Stable-Baselines3."""
     steps_per_update: int = 0
-    """One gradient step is made for so many decisions; 0 in PPO, which has other settings."""
+    """Decisions per gradient step; 0 for PPO, which has other settings."""
     config: dict[str, Any] | None = None
     """What differs from highway-env's configuration of the road."""
 
@@ -102,7 +102,7 @@ def environments(training: Training, simulator: str, seed: int) -> VecEnv:
 
 
 def learn(training: Training, simulator: str, steps: int, seed: int) -> tuple[Any, float]:
-    """The model after so many decisions, and the CPU time that they took, s."""
+    """The model after `decisions` decisions, and the CPU time that they took, s."""
     episodes, settings = environments(training, simulator, seed), dict(training.settings)
     if training.steps_per_update:
         updates = episodes.num_envs // training.steps_per_update

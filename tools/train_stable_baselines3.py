@@ -148,7 +148,7 @@ class Conditions(EpisodesVecEnv):
         return self._seen, rewards, step.ended, infos
 
     def _departures(self, actions: NDArray[np.int64]) -> NDArray[Any]:
-        """(B,) what the actions cost because people seldom take them."""
+        """(B,) the cost of the actions, which is high if human drivers seldom take them."""
         if self._prior is None:
             return np.zeros(len(actions))
         with torch.no_grad():

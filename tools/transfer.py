@@ -50,7 +50,7 @@ def crashed_elsewhere(runs: Path, metric: str) -> dict[str, dict[str, Number]]:
 
 
 def transfer_table(runs: Path) -> str:
-    """The proportion of crashes at fault, a condition per row and an ego per column."""
+    """The proportion of crashes at fault, with one condition per row and one ego per column."""
     found = crashed_elsewhere(runs, "crashed_at_fault")
     egos = dict.fromkeys((ego for numbers in found.values() for ego in numbers), ".1%")
     records = ({"condition": condition, **numbers} for condition, numbers in found.items())

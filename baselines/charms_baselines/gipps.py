@@ -66,7 +66,7 @@ class Gipps(DriverModel):
         return np.asarray(np.where(there, np.minimum(free, safe), free))
 
     def _is_free(self, scene: Scene, vehicles: Vehicles, lane: Ints) -> Bools:
-        """Whether nobody on the lanes (M,) would have to brake hard if the drivers moved there."""
+        """Whether the drivers can move to the lanes (M,) without making others brake hard."""
         braking = scene.parameters[vehicles][:, 1]
         speed = scene.speed[vehicles]
         needed = (self._speed_on(scene, vehicles, lane) - speed) / REACTION_S
@@ -80,7 +80,7 @@ class Gipps(DriverModel):
 
 
 def _sides(scene: Scene, lane: Ints) -> tuple[Ints, Ints]:
-    """The lanes (M,) to the left and to the right of lanes (M,); -1 where there is none."""
+    """The lanes (M,) to the left and to the right of lanes (M,); -1 where there is no lane."""
     known, which = np.unique(lane, return_inverse=True)
     left, right = np.array([side_lanes(scene.road, each) for each in known])[which].T
     return left, right

@@ -1,6 +1,6 @@
 """Calibrated drivers who also give way where ways cross and merge, by gap acceptance.
 
-Populations are calibrated on motorways, where nobody gives way. Where the observation `interaction`
+Populations are calibrated on motorways, without giving way. Where the observation `interaction`
 says that a vehicle has the right of way, or does not say who has it, this driver looks at when that
 vehicle arrives at the conflict point. The driver
 
@@ -9,10 +9,10 @@ vehicle arrives at the conflict point. The driver
    Capacity Manual (6th edition, 2016): 6.5 s to cross (chapter 20, through traffic of the minor
    street under two-way stop control), and 4.98 s to merge (chapter 22, the entry of a roundabout
    with one lane);
-2. otherwise approaches the stop line as a standing leader, with the driver's own IDM;
+2. otherwise approaches the stop line as a stationary leader, with the driver's own IDM;
 3. does not stop beyond the line any more;
 4. if nothing says who has the right of way, gives way to the vehicle that arrives first;
-5. whoever has the right of way, does not drive into a conflict point in which a vehicle is.
+5. never drives into a conflict point that another vehicle occupies.
 
 The stop line is `STOP_M` before the conflict point, so that neither vehicle is in the other's lane.
 """
@@ -45,7 +45,7 @@ _SEEN = Interaction(conflicts=10)
 
 
 class YieldingHuman(Human):
-    """`human`, who gives way at junctions by gap acceptance; see the module."""
+    """The driver `human` with gap acceptance at junctions; see the module."""
 
     def stops(self, scene: Scene, vehicles: Vehicles) -> Floats:
         """The gaps (M,) from M vehicles to the first stop line before which they wait, m."""

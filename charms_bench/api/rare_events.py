@@ -39,7 +39,7 @@ class Rare:
 
     @property
     def files(self) -> list[Path]:
-        """The tables in the folder that people read."""
+        """The Markdown tables in the folder."""
         return sorted(self.path.glob("tables/*.md"))
 
 

@@ -1,4 +1,4 @@
-"""`verify`, `bench` and `warm-up`: the compiled engine beside highway-env."""
+"""`verify`, `bench` and `warm-up`: compare the engine with highway-env, and compile it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

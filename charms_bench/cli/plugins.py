@@ -27,8 +27,8 @@ from charms_bench.foundation.files import absolute, is_same_file
 def agents(as_json: Json = False) -> None:
     """List the installed agents and traffic models.
 
-    The plugins are not imported. What each does is the first line of its docstring. A name that two
-    distributions claim cannot be used.
+    The plugins are not imported. Each is described by the first line of its docstring. A name that
+    two distributions claim cannot be used.
     """
     from charms_bench.plugins.first_line import first_line
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins

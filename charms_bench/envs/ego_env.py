@@ -28,7 +28,7 @@ from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import SceneSettings
 
 TrafficLike = str | Mapping[str, Any] | Traffic
-"""A traffic, the name of a traffic or of an agent, shares of agents such as `{"idm_mobil": 1.0}`,
+"""A traffic model, its name or an agent's, proportions of agents such as `{"idm_mobil": 1.0}`,
 or what a suite gives as `traffic`: `{"name": ..., "options": ...}`, `{"mixture": ...}`, or
 `{"scenario": ...}`. The path of an ONNX file is the name of an agent."""
 
@@ -125,7 +125,7 @@ def reward_of(actions: GivenLike, settings: SceneSettings) -> Reward[Any]:
 def surroundings(
     traffic: TrafficLike | None, scene: dict[str, Any], environment: str
 ) -> tuple[SceneSettings, Traffic, dict[str, Agent]]:
-    """The settings with the keys of a suite's `scene`, a traffic, and its agents by name.
+    """The settings with the keys of a suite's `scene`, a traffic model, and its agents by name.
 
     Raises:
         InputError: The traffic is not installed, or a key or a value is wrong; the message begins
@@ -162,7 +162,7 @@ def surroundings(
 
 
 def made_traffic(traffic: str | Mapping[str, float] | Traffic) -> tuple[Traffic, dict[str, Agent]]:
-    """A traffic and its agents by name."""
+    """A traffic model and its agents by name."""
     if isinstance(traffic, str):
         traffic = make_traffic(traffic)
     elif isinstance(traffic, Mapping):

@@ -15,7 +15,7 @@ from charms_bench.foundation.arrays import Bools, Floats, Ints
 Spaces = tuple[gymnasium.Space[Any], gymnasium.Space[Any]]
 """Of observations and of actions."""
 Seeds = Sequence[int | None]
-"""The seeds of R scenes; where there is none, the scene's random generator continues."""
+"""The seeds of R scenes; without a seed, a scene's random generator continues."""
 NO_SCENES: Ints = np.zeros(0, dtype=np.int64)
 FIRST_SCENE: Ints = np.zeros(1, dtype=np.int64)
 
@@ -75,7 +75,7 @@ class Episodes(ABC):
         """Carries out actions (N, ...) until the next decision; nothing counts in scenes `due`."""
 
     def over(self, ended: Bools) -> Bools:
-        """(B,) the scenes that nobody drives any more, if these environments (N,) have ended."""
+        """(B,) the scenes without a running environment, if these environments (N,) have ended."""
         return ended.copy()
 
     def of_scenes(self, rows: Ints) -> Ints:
@@ -91,7 +91,7 @@ class Episodes(ABC):
         return {}
 
     def final(self, ended: Bools) -> dict[str, Any]:
-        """Infos (N, ...) about the episodes that have `ended`, beside `facts`."""
+        """Infos (N, ...) about the episodes that have `ended`, added to `facts`."""
         return {}
 
     def first(self) -> dict[str, Any]:

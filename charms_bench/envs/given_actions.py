@@ -40,7 +40,7 @@ def array_of(actions: Any) -> NDArray[Any]:
 
 
 class GivenActions:
-    """The actions of learners, of which a program may leave out the lateral or longitudinal ones.
+    """The actions of learners, with or without the lateral and the longitudinal ones.
 
     Args:
         like: `meta`, `continuous`, or a list of meta-actions; see `world.action_texts`.
@@ -61,7 +61,7 @@ class GivenActions:
             self.like: ActionsLike = "continuous" if like == "continuous" else "meta"
             if not isinstance(like, str):
                 self.like = read_actions(like)
-            """All actions, also those that are left out."""
+            """All actions, including those that are left out."""
         except InputError as error:
             raise InputError(f"{title}: actions: {error}") from error
         own = meta_actions_of(self.like)
@@ -95,7 +95,7 @@ class GivenActions:
         or 0.
 
         Raises:
-            InputError: They have another shape or type, or one is no action.
+            InputError: They have another shape or type, or one is not an action.
         """
         given, is_meta = array_of(actions), self.kind == "meta"
         shape = count, *(self.space.shape or ())

@@ -86,9 +86,9 @@ class Learners:
         lateral: Whether their actions change the lane, or steer.
 
     Raises:
-        InputError: A number is not that of a vehicle, or it is given twice, or 0 is missing; there
-            are several on a road on which vehicles come during the episode; or there is no scene,
-            or no action.
+        InputError: A number is not a vehicle's, is given twice, or 0 is missing; there are several
+            numbers on a road that vehicles enter during the episode; or there is no scene, or no
+            action.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class Learners:
 
     @contextmanager
     def _placing(self) -> Iterator[None]:
-        """Says where in a scenario the mistake is because of which it cannot be placed."""
+        """Adds the scenario's key to an error about vehicles that cannot be placed."""
         try:
             yield
         except ScenarioError as error:
@@ -300,7 +300,7 @@ class Learners:
 class FromOutside(Traffic):
     """A traffic in which vehicles with these numbers have no agent; the caller drives them.
 
-    The others have the same drivers as without learners. The ego is no part of a traffic.
+    The others have the same drivers as without learners. The ego is not part of the traffic.
     """
 
     def __init__(self, numbers: Sequence[int], traffic: Traffic) -> None:

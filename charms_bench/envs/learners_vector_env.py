@@ -21,8 +21,8 @@ class LearnersVectorEnv(OfScenes, ScenesVectorEnv):
 
     `array.reshape(B, L, ...)` has one row per scene. A learner's episode terminates when its
     vehicle crashes or leaves the road, and is truncated when the scene's time is over. Its vehicle
-    stays in the scene, which goes on for the other learners. `alive` is false for the learners that
-    have left, so the next episode of such a learner begins with a wait.
+    stays in the scene, which goes on for the other learners. `alive` is false for learners that
+    have left; they wait there for the next episode.
 
     Args:
         scenes: B.

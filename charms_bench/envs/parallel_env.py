@@ -41,7 +41,7 @@ class AgentsState(NamedTuple):
 class AgentsParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
     """One episode after another, in which the caller drives agents with meta-actions.
 
-    The agents are `vehicle_k`, of which `vehicle_0` is the ego. An agent terminates, and leaves
+    The agents are called `vehicle_k`, and `vehicle_0` is the ego. An agent terminates, and leaves
     `agents`, when its vehicle crashes, arrives or leaves the road. Its vehicle stays in the scene,
     which goes on for the other agents. When the time is over, the remaining agents are truncated.
 
@@ -56,7 +56,7 @@ class AgentsParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is unt
     metadata: dict[str, Any]
     possible_agents: list[str]
     agents: list[str]
-    """Those that drive."""
+    """The agents that still drive."""
 
     def __init__(self, episodes: Episodes, render_mode: str | None) -> None:
         self._episodes: Any = episodes

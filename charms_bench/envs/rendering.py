@@ -129,7 +129,7 @@ def moment_of(simulation: Simulation, row: int, title: str) -> "Moment":
 
 
 def _to_leader(simulation: Simulation, row: int, ego: int) -> tuple[float, float]:
-    """The gap to the ego's leader, m, and the time to collision, s; NaN where there is none."""
+    """The gap to the ego's leader, m, and the time to collision, s; NaN if undefined."""
     scene = simulation.scene
     vehicle = (np.array([row]), np.array([ego]))
     leader, found = scene.leader(vehicle, scene.lane[vehicle])

@@ -36,8 +36,8 @@ from charms_bench.roads.episodes import Episodes as RoadScenes
 from charms_bench.roads.parking import Parking
 
 RoadReward = Callable[[NDArray[np.void], Mapping[str, Floats]], Floats]
-"""A reward of one's own (B,) after a decision, or (B, agents) where there are several agents. It is
-given the vehicles (B, N), which are rows of `roads.scenes.VEHICLE` of which the first are the egos,
+"""A custom reward (B,) after a decision, or (B, agents) where there are several agents. It is
+given the vehicles (B, N), rows of `roads.scenes.VEHICLE` in which the egos come first,
 and the terms of highway-env's reward (B,) by name."""
 
 

@@ -44,7 +44,7 @@ instead."""
 
 
 def missing(thing: object, name: str) -> AttributeError:
-    """The error for an attribute that there is not; it says what to use instead."""
+    """The error for a missing attribute; it says what to use instead."""
     instead = f"; use {INSTEAD[name]}" if name in INSTEAD else ""
     return AttributeError(f"'{type(thing).__name__}' has no attribute '{name}'{instead}")
 

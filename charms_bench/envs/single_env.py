@@ -82,7 +82,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         With several agents, the masks are (agents, A).
 
         Raises:
-            InputError: The actions are no meta-actions.
+            InputError: The actions are not meta-actions.
             ResetNeeded: There was no reset yet.
         """
         return np.asarray(self._episodes.masks()[0], dtype=np.bool_)

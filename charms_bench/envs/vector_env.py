@@ -28,9 +28,9 @@ from charms_bench.world.scene import SceneSettings
 
 
 class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
-    """B scenes as N environments: one a scene, or B L, where each scene has L learners.
+    """B scenes as N environments: one per scene, or B L if each scene has L learners.
 
-    When nobody drives in a scene any more, the next episode starts there: within the same step, or
+    When all learners of a scene have left, its next episode starts: within the same step, or
     as `autoreset_mode` says, one of Gymnasium's `AutoresetMode`. Until then, the observations of
     learners that have left are zeros, their rewards are 0, and their actions have no effect.
 
@@ -45,7 +45,7 @@ class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         autoreset_mode: When the next episodes start.
 
     Raises:
-        InputError: There is no such mode, or the seed is none.
+        InputError: The mode does not exist, or the seed is not a seed.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
@@ -200,7 +200,7 @@ class ScenesVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         Where actions are tuples, the masks are (N, agents, A).
 
         Raises:
-            InputError: The actions are no meta-actions.
+            InputError: The actions are not meta-actions.
             ResetNeeded: There was no reset yet.
         """
         return np.asarray(self._episodes.masks()).astype(np.bool_)

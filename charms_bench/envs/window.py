@@ -37,7 +37,7 @@ class Window:
         self._clock = pygame.time.Clock()
 
     def show(self, picture: NDArray[np.uint8], per_second: float) -> None:
-        """Shows a picture (height, width, 3), at most so many per second."""
+        """Shows a picture (height, width, 3), at most `hz` pictures per second."""
         import pygame
 
         size = (picture.shape[1], picture.shape[0])

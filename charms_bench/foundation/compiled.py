@@ -248,7 +248,7 @@ def _row_after(_: Any, row: Any, count: Any) -> Any:
 
 
 row_after: Any = intrinsic(_row_after)
-"""`row_after(row, count)`, in compiled code, is the row of a table so many rows after another.
+"""`row_after(row, count)`, in compiled code, is the row of a table `count` rows after `row`.
 
 Compiled code passes a row as one pointer, but an array as seven numbers or more, whose references
 it counts; for small functions, that takes longer than what they compute. Nothing checks that there

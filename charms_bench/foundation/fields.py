@@ -56,7 +56,7 @@ class FrozenModel(BaseModel):
 
 
 def _printable(text: str) -> str:
-    """Refuses characters that move a terminal's cursor or change the writing direction."""
+    """Rejects characters that move a terminal's cursor or change the writing direction."""
     if not text.isprintable():
         raise ValueError("expected characters that can be printed, on one line")
     return text

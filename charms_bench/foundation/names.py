@@ -20,13 +20,13 @@ _LATIN = str.maketrans(
 
 
 def appearance(title: str) -> str:
-    """What a reader sees of a title: equal for titles that nobody can tell apart."""
+    """The form of a title that readers perceive: equal for titles that look alike."""
     visible = _INVISIBLE.sub("", normalize("NFKC", title))
     return " ".join(visible.translate(_LATIN).split())
 
 
 def alike(titles: Sequence[str]) -> str:
-    """The first of some titles that looks like one before it; empty if there is none."""
+    """The first title that looks like an earlier one; empty if all differ."""
     seen: set[str] = set()
     for title in titles:
         if (look := appearance(title)) in seen:

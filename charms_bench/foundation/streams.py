@@ -60,7 +60,7 @@ class _Dropping(io.FileIO):
 
 
 class _Reporting(io.FileIO):
-    """Reports once that something cannot be written; a reader that has left is no error."""
+    """Reports once that something cannot be written; a reader that has left is not an error."""
 
     def write(self, data: Any) -> int | None:  # type: ignore[override]
         try:

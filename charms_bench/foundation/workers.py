@@ -40,7 +40,7 @@ LOOK_S = 1.0
 _SAFE_PATH = {"PYTHONSAFEPATH": "1"}
 """Otherwise, a new Python process imports modules from the current folder first."""
 FOR_PARENT = (signal.SIGINT, signal.SIGTERM)
-"""What the terminal or the system sends to a group of processes, of which workers ignore it."""
+"""Signals that the terminal or the system sends to a group of processes; workers ignore them."""
 Failed = Callable[[Task, CharmsBenchError], Collection[Task]]
 """Called with a task and its error; returns the tasks that are not to be started any more."""
 _numbers = itertools.count(1)
@@ -225,7 +225,7 @@ class Died(WorkerError):
 
 
 def ask(work: Callable[[Task], Result], task: Task, limit_s: float) -> Result:
-    """Has a worker do one task within `limit_s`, its start included; the worker is kept.
+    """Runs one task in a worker within `limit_s`, including its start; keeps the worker.
 
     The function, the task and the result are pickled.
 

@@ -1,4 +1,4 @@
-"""What people call each metric: the headings of tables and figures in every view.
+"""The names of metrics in the headings of tables and figures, in every view.
 
 Stored tables keep the names of metrics; a heading follows from the name alone.
 """
@@ -135,5 +135,5 @@ def set_label_of(label: str) -> str:
 
 
 def in_words(name: str) -> str:
-    """The words of a name, without the unit, which stands beside them."""
+    """The words of a name without the unit, which headings add."""
     return re.sub(r"_(s|m|mps|mps2)$", "", name).replace("_", " ")

@@ -39,7 +39,7 @@ class MissingLanes(NamedTuple):
 def missing_lanes(
     parts: Iterable[pl.DataFrame], lanes: int, actions: Sequence[MetaAction] = DEFAULT_ACTIONS
 ) -> MissingLanes:
-    """Counts the decisions of an ego whose step rows are `parts`, on a road of so many lanes.
+    """Counts the decisions of an ego with the step rows `parts` on a road with `lanes` lanes.
 
     The actions are the ego's meta-actions.
 

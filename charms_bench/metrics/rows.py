@@ -25,7 +25,7 @@ LANE_CHANGE_WINDOW_S = 2.0
 UNDONE_WITHIN_S = 5.0
 """A lane change is undone if the next one leads back to the lane that it left, within this time."""
 DRIFT_MPS = 0.1
-"""A vehicle whose lateral speed is no larger than this keeps its place in the lane."""
+"""A vehicle whose lateral speed is at most this stays at its place in the lane."""
 EGO, ANOTHER = 1, 2
 """Whose lane change gave the ego its leader; values of the column `changer`."""
 IS_LATER = pl.col("step") > 1

@@ -1,4 +1,4 @@
-"""Agents and traffic models in the place of recorded drivers, simulated by the engine."""
+"""Simulates agents and traffic models in place of recorded drivers."""
 
 from collections.abc import Mapping, Sequence
 
@@ -79,7 +79,7 @@ def drive_behind(
     agents: Mapping[str, Agent],
     lanes: Floats,
 ) -> Driven:
-    """What an ego's agent, given by name, or vehicles of a traffic do behind recorded leaders.
+    """Simulates an ego's agent, given by name, or a traffic model behind recorded leaders.
 
     The driver stays in its lane, as the recorded driver did: lane commands have no effect.
     """

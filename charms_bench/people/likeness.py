@@ -1,7 +1,7 @@
 """How much a driver is like recorded drivers.
 
-A driver is put in the place of recorded drivers, for 30 s behind their recorded leaders, and in as
-many situations that no recording has; see `people.unseen`. Three components are scored, and the
+A driver replaces recorded drivers, for 30 s behind their recorded leaders, and in equally many
+situations that no recording has; see `people.unseen`. Three components are scored, and the
 worst of them is the total:
 
 - **closed loop**, in the recorded situations: the energy score of gap and speed after 10, 20 and
@@ -11,7 +11,7 @@ worst of them is the total:
 - **events**, in the other situations: rates of hard braking, short headways, collisions and, in
   traffic, collisions and, where lanes are known, lane changes and undone ones. The worst counts.
 
-For the last two, a driver in the place of one half of the recorded drivers is compared with the
+For the last two, a driver that replaces one half of the recorded drivers is compared with the
 other half. 0 is the better of constant velocity and an IDM that wants the speed that it was spawned
 with, and 1 is what the recorded drivers of the first half score. Data sets are never pooled.
 """
@@ -106,10 +106,10 @@ class _Halves:
         self._expected = _rates(human, one, lanes[:, 0], lanes[:, 0, 0])
 
     def distances(self, tested: _Sums, lanes: Floats | None = None) -> Floats:
-        """(H, 7) of scene and events, of a driver in the second half from people in the first.
+        """(H, 7) of scene and events, of a driver in the second half from humans in the first.
 
         They are means over the repetitions. `lanes` (4,) are the driver's sums of lane counts;
-        people have those of their second half.
+        the humans have those of their second half.
         """
         km = self._lanes[:, 0, 0]
         own = self._lanes[:, 1] if lanes is None else np.broadcast_to(lanes, (km.size, 4))
@@ -152,7 +152,7 @@ class Yardstick:
         self._parts = []
         """All drivers, then all but one."""
         self._of_people, self._span = np.empty((2, 1 + self._drivers, 1 + len(EVENTS)))
-        """Distances of halves of people, and those that scores from 0 to 1 stand for, by part."""
+        """Distances between halves of the drivers, and those of scores 0 and 1, by part."""
         parts = np.concatenate([np.ones((1, self._drivers)), 1 - np.eye(self._drivers)])
         for part, weights in enumerate(parts):
             lanes = self._without(human.lanes, part)[drawn].sum(axis=2)
@@ -328,7 +328,7 @@ def _rates(driven: _Sums, weights: Floats, lanes: Floats, half_km: Floats, m: in
     """(H, 6) rates of events by second and by km, of lanes (H, 4); NaN where lanes are unknown.
 
     The prior is one of a rate on as many kilometres as half of the recorded drivers drove, so that
-    who drives further is not thought to change lanes less.
+    a driver who drives further does not seem to change lanes less often.
     """
     seconds = weights @ driven.seconds
     behind = (weights @ driven.events[m] + _PRIORS) / seconds[:, None]

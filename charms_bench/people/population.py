@@ -55,7 +55,7 @@ class Population(Artefact):
     covariance: Annotated[tuple[Numbers, ...], Field(strict=False)]
     """(P + 2, P + 2) of their logarithms."""
     not_identified: Annotated[tuple[str, ...], Field(strict=False)]
-    """Parameters of which a driver's own trips say less than the other drivers do."""
+    """Parameters about which a driver's own trips say less than the other drivers' trips."""
     lag_s: NonNegative
     """Time constant with which the acceleration follows the model's."""
     noise_mps2: NonNegative

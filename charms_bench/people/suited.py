@@ -22,7 +22,7 @@ DEVIATION_MPS2 = 0.5
 def suited(
     model: Model, trip: Trip, count: int, draw: Callable[[int], Floats], rng: np.random.Generator
 ) -> Floats:
-    """(count, P) drivers that suit the start of a trip, of those that `draw` draws (n, P)."""
+    """(count, P) drivers from `draw` (n, P) that suit the start of a trip."""
     p = draw(TRIES * count)
     first = first_accelerations(model, trip, p).reshape(TRIES, count)
     is_kept = rng.random(first.shape) < np.exp(-((first / DEVIATION_MPS2) ** 2) / 2)

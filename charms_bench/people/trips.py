@@ -54,7 +54,7 @@ class Trip:
 
 
 Driver = Callable[[Trip, np.random.Generator], tuple[Floats, Floats]]
-"""Gaps and speeds (M, n) of M repetitions, or draws, in the place of a trip's driver."""
+"""Gaps and speeds (M, n) of M repetitions, or draws, that replace a trip's driver."""
 
 
 def read_trips(path: Path) -> list[Trip]:

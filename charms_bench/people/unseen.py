@@ -2,8 +2,8 @@
 
 The gap and the speeds at the start of a recorded situation are changed at random, and its leader
 gets the changes of speed of two recorded leaders, each divided by the root of 2. So leaders brake
-and accelerate as much as recorded ones, and nobody has followed them. What a human driver would do
-there is not known, but how human drivers drive, given the scene, is.
+and accelerate as much as recorded ones, and no recorded driver has followed them. It is not known
+what a human driver would do there, but it is known how human drivers drive, given the scene.
 """
 
 from collections.abc import Sequence

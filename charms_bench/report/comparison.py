@@ -50,7 +50,7 @@ def compare(
     seed: int,
     only: Sequence[str] = (),
 ) -> Table:
-    """Every metric of every pair, first minus second, a metric per row.
+    """Every metric of every pair, first minus second, one metric per row.
 
     The pairs are from `runs.pairing.pairs_of`, and the seed is that of the resamples. `only` names
     metrics, in every set that has them; none means all.
@@ -105,7 +105,7 @@ def defined(value: float) -> float | None:
 
 
 def by_pair(table: Table, metrics: Collection[str] | None = None) -> list[Table]:
-    """A table for each pair of agents, traffic and metric set, for people; the last has the note.
+    """A table to read for each pair of agents, traffic and metric set; the last has the note.
 
     p is the corrected one, for the tests of all metrics. If `metrics` are given, only they are
     shown.
@@ -140,7 +140,7 @@ def _headed(row: Row) -> Row:
 
 
 def to_dicts(table: Table) -> list[dict[str, Any]]:
-    """A comparison for JSON: a dictionary per row; what is not defined is None."""
+    """A comparison for JSON: a dictionary per row; undefined values are None."""
     place = table.columns.index(COLUMNS[2])
     return [
         {**record, "episodes": each.n, "low": each.low, "high": each.high, "separated": each.marked}

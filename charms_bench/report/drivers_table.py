@@ -21,7 +21,7 @@ from charms_bench.world.scene import Floats
 KEYS = ("agent", "traffic", "driver")
 LONG = {"metric": "name", **ESTIMATE}
 EGO = "ego"
-"""What the ego is called as a driver, because its agent can also drive vehicles of the traffic."""
+"""The name of the ego as a driver, because its agent may also drive vehicles of the traffic."""
 _SUMS = [each.cast(pl.Float64) for metric in OF_DRIVERS for each in metric.sums]
 _ENDS = np.cumsum([len(metric.sums) for metric in OF_DRIVERS])[:-1]
 

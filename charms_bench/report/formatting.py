@@ -86,7 +86,7 @@ def _text(number: float | None, form: str) -> str:
 
 
 def _decimals(value: float, digits: int) -> int:
-    """The decimals with which a number above 0 has so many digits."""
+    """The number of decimals that gives a number above 0 this many digits."""
     return digits - 1 - math.floor(math.log10(value))
 
 

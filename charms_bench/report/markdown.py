@@ -80,7 +80,7 @@ def _cell(cell: Written, in_line: bool) -> str:
 
 
 def _as_text(text: str) -> str:
-    """A text from outside in a cell, where it is no tag, no link and no end of the cell."""
+    """A text from outside, escaped so that it is not a tag, a link or the end of a cell."""
     return without_html(re.sub(r"(\\(?=[\\|\]<])|\||\](?=[(\[:]))", r"\\\1", text))
 
 

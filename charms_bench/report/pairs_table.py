@@ -1,4 +1,4 @@
-"""The table of pairs: how far the egos of a suite differ, and how well they can be told apart.
+"""The table of pairs: how far the egos of a suite differ, and how often one is guessed right.
 
 All egos drive the same episodes, so differences are paired (`statistics.paired`); p-values are
 corrected over all pairs and metrics (Holm 1979).

@@ -23,7 +23,7 @@ def printable(text: str) -> str:
 
 
 def note(text: str) -> None:
-    """Prints a message beside the results, on standard error."""
+    """Prints a message on standard error, apart from the results."""
     if not QUIET.get():
         Console(stderr=True, emoji=False).print(printable(text), highlight=False, soft_wrap=True)
 

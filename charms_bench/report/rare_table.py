@@ -35,7 +35,7 @@ def rare_table(
 ) -> Table:
     """The probability of an event in every cell, from its runs with `samples` per level.
 
-    `name` is that of its files, `definition` says what the event is.
+    `name` is the name of its files, and `definition` describes the event.
     """
     records = [
         {
@@ -91,7 +91,7 @@ def stored_rare(folder: Path) -> Table:
 
 
 def _columns(of: str) -> tuple[Column, ...]:
-    """The columns of the table; `of` completes what the probability is."""
+    """The columns of the table; `of` completes the definition of the probability."""
     return (
         Column(
             "probability",

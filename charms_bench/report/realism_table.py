@@ -49,7 +49,7 @@ DISTANCES = {
     "wasserstein": "First Wasserstein distance, m/s or m: how far one distribution has to be "
     f"moved, on average, to become the other. Its bins are {BIN:g} m/s and {BIN:g} m wide",
 }
-"""What each distance is."""
+"""The definition of each distance."""
 FLOOR = "(sampling-noise floor)"
 WITHIN_LIMITS = "(speed limits of the profile)"
 OVERSHOOT_MPS = 0.4
@@ -150,7 +150,7 @@ def smallest_distances(human: Floats, limits: tuple[float, float], n: int) -> di
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
-    """The table of realism from its long frame; the nearest traffics are marked, see `NOTE`."""
+    """The table of realism from its long frame; the nearest models are marked, see `NOTE`."""
     table = Table.from_frame(
         frame,
         f"{suite.suite}-realism",

@@ -42,7 +42,7 @@ class RunTables:
     """What each driver does to others and what others do to it."""
 
     def each(self) -> list[Table]:
-        """The tables that there are."""
+        """The tables that the run has."""
         return [table for table in vars(self).values() if table is not None]
 
 

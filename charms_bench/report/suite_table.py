@@ -1,4 +1,4 @@
-"""The table of a suite: every metric of every cell; and its matrices of egos and traffics."""
+"""The table of a suite: every metric of every cell; and its matrices of egos and traffic models."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, replace
@@ -104,7 +104,7 @@ def one_per_metric(table: Table) -> Table:
 
 
 def matrices(table: Table) -> list[Table]:
-    """A table of egos down and traffics across for each of `MATRICES` that was computed.
+    """A table of egos down and traffic models across for each of `MATRICES` that was computed.
 
     A column is a traffic, or a road with it. None for a suite of one ego or one traffic, which the
     table shows as well.

@@ -74,7 +74,7 @@ class Training:
         return repr(self) if self.stages is None else f"{self!r}\n{self.stages}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Stages and curves as records, for JSON; those that the folder has."""
+        """The stages and curves in the folder as records, for JSON."""
         stages = {} if self.stages is None else {"stages": self.stages.records()}
         return stages | ({} if self.curves is None else {"curves": self.curves.to_dicts()})
 

@@ -16,7 +16,7 @@ PSEUDO_COUNT = 0.5
 def kl_divergence(reference: Floats, other: Floats) -> Floats:
     """KL(reference || other) of the smoothed proportions, in nats.
 
-    With human driving as the reference, it is large if people do things that the other traffic
+    With human driving as the reference, it is large if humans do things that the other traffic
     never does, so a traffic that reproduces only one kind of driving scores badly. With more
     counts, missing kinds of driving weigh more, because smoothing hides less.
     """

@@ -1,4 +1,4 @@
-"""The energy score: how far what happened is from what was predicted to happen."""
+"""The energy score: the distance of an observation from a predicted distribution."""
 
 import numpy as np
 

@@ -196,7 +196,7 @@ def of_events(kind: Interval, sums: Floats) -> Bounds:
 
 
 def _percentiles(values: Floats) -> Bounds:
-    """The interval of resampled values; there is none if the values do not vary."""
+    """The interval of resampled values; undefined if they do not vary."""
     values = values[~np.isnan(values)]
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(values, [tail, 1 - tail]) if values.size else NO_BOUNDS

@@ -76,7 +76,7 @@ def bench(
 ) -> list[Measurement]:
     """Measures every contestant `rounds` times for about `seconds`, in turn.
 
-    The contestants are the engines, or Gymnasium's vector environments of so many `environments`,
+    The contestants are the engines, or Gymnasium's vector environments of size `environments`,
     or environments in which all vehicles are `learners`; the steps of these are decisions of
     vehicles. EnvPool and highway-env have their own IDM, whatever the traffic is. `progress` is
     called with the name of what is measured next.
@@ -115,7 +115,7 @@ class RoadMeasurement:
 def bench_road(
     name: str, seconds: float, rounds: int, progress: Callable[[str], None], environments: int
 ) -> list[RoadMeasurement]:
-    """Measures a vector environment of so many `environments`, and one of highway-env.
+    """Measures a vector environment with `environments` environments, and one of highway-env.
 
     Actions are random, and observations and new episodes are included. For the other arguments,
     see `bench`.

@@ -26,7 +26,7 @@ WARM_UP = 30
 """Decisions before the measurement of learners, after which the scenes are at all stages."""
 
 Stepping = Callable[[float], tuple[int, float]]
-"""Steps for about so many seconds: the environment steps made, and the seconds that they took."""
+"""Steps for about `seconds`; returns the number of environment steps and their duration, s."""
 
 
 def repeated(step: Callable[[], int]) -> Stepping:

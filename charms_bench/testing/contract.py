@@ -1,4 +1,4 @@
-"""The contract of agents and traffics as tests: for plugin authors and for `charms-bench check`.
+"""The contract of agents and traffic models as tests, for plugin authors and `charms-bench check`.
 
 In a plugin's own tests:
 
@@ -106,7 +106,7 @@ def agent_rules(agent: Agent) -> list[Rule]:
 
 
 def traffic_rules(traffic: Traffic) -> list[Rule]:
-    """Every rule that a traffic has to keep, ready to be called."""
+    """Every rule that a traffic model has to keep, ready to be called."""
     return [_bound(traffic_assigns_its_agents, traffic), _bound(traffic_follows_its_rng, traffic)]
 
 

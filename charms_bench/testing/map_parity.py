@@ -79,7 +79,7 @@ class _Compare:
 
 
 class OwnRoad:
-    """A scene of about so many vehicles on the road in a file, by highway-env's rules alone."""
+    """About `vehicles` vehicles on the road of a file, by highway-env's rules alone."""
 
     def __init__(self, path: Path, vehicles: int) -> None:
         road = NamedRoad.model_validate({"file": path})
@@ -163,7 +163,7 @@ def stock_road(ours: OwnRoad, network: Any, names: list[Any]) -> Any:
 
 
 def advance_stock(road: Any, steps: int) -> None:
-    """Advances highway-env's road by so many simulation steps."""
+    """Advances highway-env's road by `steps` simulation steps."""
     for _ in range(steps):
         road.act()
         road.step(1 / HZ)

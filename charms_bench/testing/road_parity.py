@@ -82,8 +82,8 @@ def verify_road(
     """Compares the episodes `seed` to `seed + episodes - 1` of an environment to the last bit.
 
     In every other episode, actions are random; in the others, most are IDLE, or the ego steers
-    towards the middle of its lane. At most so many decisions are compared; with 0, the starts of
-    the episodes alone. For the other arguments, see `in_chunks`.
+    towards the middle of its lane. At most `decisions` decisions are compared; with 0, only the
+    starts of the episodes. For the other arguments, see `in_chunks`.
     """
     some, seeds = partial(compare, decisions=decisions, config=config), range(seed, seed + episodes)
     (found,) = in_chunks(some, [name], seeds, _CHUNK, str, workers, progress, environments=True)
@@ -100,7 +100,7 @@ def compare(
 ) -> Comparison:
     """Compares episodes with highway-env as it computes in this process.
 
-    At most so many decisions are compared; with 0, the starts of the episodes alone.
+    At most `decisions` decisions are compared; with 0, only the starts of the episodes.
     """
     import highway_env  # noqa: F401  # registers its environments
 
@@ -164,7 +164,7 @@ def _steering(vehicle: Any) -> float:
 def _apart(
     stock: Any, ours: Episodes, names: list[Any], expected: list[Any], decision: Decision | None
 ) -> tuple[float, str]:
-    """The largest difference now, and of what; infinity for what is no number."""
+    """The largest difference now and its quantity; infinity for what is not a number."""
     found: Any = ours.observe() if decision is None else decision.observations
     their = expected[0]
     if isinstance(found, tuple):

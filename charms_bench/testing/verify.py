@@ -26,7 +26,7 @@ _CHUNK = 4
 
 
 class Case(FrozenModel):
-    """An ego in a traffic in a kind of scene."""
+    """An ego in a traffic model in a kind of scene."""
 
     scene: SceneSettings
     ego: AgentSpec | None

@@ -136,7 +136,7 @@ def with_speed_steps(
 ) -> tuple[MetaAction, ...]:
     """Meta-actions with steps of their own, all above 0, in place of the profile's.
 
-    By default, these are highway-env's, of which FASTER and SLOWER have steps.
+    By default, these are highway-env's; FASTER and SLOWER have steps.
     """
     if not (_are_steps(steps_mps) and steps_mps[0] > 0):
         raise InputError(f"speed steps {str(steps_mps)[:80]}; expected {OWN_STEPS}")

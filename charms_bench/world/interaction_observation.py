@@ -84,7 +84,7 @@ class Interaction(FrozenModel):
 
 @compiled_of_scenes
 def _fill(scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
-    """Writes what there is on a straight road of M vehicles' observations."""
+    """Writes the rows of M vehicles' observations that a straight road has."""
     for m in range(rows.size):
         b, i, seen = rows[m], places[m], observations[m]
         lane, speed = scene.lane[b, i], scene.speed[b, i]

@@ -157,7 +157,7 @@ def _as_recorded(settings: SceneSettings, info: ValidationInfo) -> SceneSettings
 
 
 RecordedScene = Annotated[SceneSettings, AfterValidator(_as_recorded)]
-"""Settings of which the recordings are read, relative to the `folder` of the context."""
+"""Settings with their recordings read, relative to the `folder` of the context."""
 _RECORDED_SCENE: TypeAdapter[SceneSettings] = TypeAdapter(RecordedScene)
 
 
@@ -236,7 +236,7 @@ def moments_of(settings: SceneSettings) -> Moments:
 
 
 def _with_lanes(folder: Path, ways: tuple[_Carriageway, ...], lanes: int) -> list[_Carriageway]:
-    """The carriageways with so many lanes, which are about equally wide."""
+    """The carriageways with `lanes` lanes, which are about equally wide."""
     found = [each for each in ways if each.lanes == lanes]
     if not found:
         counts = ", ".join(map(str, sorted({each.lanes for each in ways})))
@@ -443,7 +443,7 @@ def _places_tested(folder: Path, ways: list[_Carriageway], split: Split | None) 
 
 
 def _in_part(way: _Carriageway, split: Split, places: list[str], span: int) -> Bools:
-    """Whether the episodes of so many frames that start in each row (K,) belong to the part."""
+    """Whether the episodes of `span` frames that start in each row (K,) belong to the part."""
     frame, vehicle = way.rows["frame"].to_numpy(), way.rows["vehicle"].to_numpy()
     if split.by == "time":
         every = way.recording.tracks["frame"].to_numpy()

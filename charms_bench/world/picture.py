@@ -52,7 +52,7 @@ class Moment(Motion):
     agents: Sequence[str]
     """N names of agents; the ego's is empty if it is driven from outside."""
     traffic: Sequence[str]
-    """The names of the agents that the legend lists beside the ego's."""
+    """The names of the agents that the legend lists after the ego's."""
     gap_ahead: float
     """m, from the ego's front to its leader's rear; NaN if there is no leader."""
     ttc: float

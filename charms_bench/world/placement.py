@@ -189,7 +189,7 @@ class _Placing:
         return found
 
     def _check_free(self, i: int, at: Location, made: Placement, names: Sequence[str]) -> None:
-        """Refuses a vehicle that overlaps one before it."""
+        """Rejects a vehicle that overlaps one before it."""
         vehicle = self._scenario.vehicles[i - 1] if i else None
         field = "gap_m" if vehicle and vehicle.gap_m is not None else "x_m"
         for j in range(i):
@@ -259,7 +259,7 @@ class _Placing:
         return found
 
     def _check(self, at: Location, is_wrong: NDArray[np.bool_], what: str, found: Floats) -> None:
-        """Refuses the first point that is wrong, and gives the values of its parameters."""
+        """Rejects the first point that is wrong, and gives the values of its parameters."""
         if is_wrong.any():
             k = int(is_wrong.argmax())
             of = ", ".join(f"{name} {each[k]:g}" for name, each in self._values.items())

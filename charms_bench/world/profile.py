@@ -228,7 +228,7 @@ ROADS = CHARMS.model_copy(
     }
 )
 """CHARMS's constants at any speed from 0, with the ego's control in every simulation step: the
-default on roads that are no straight motorway, where vehicles turn, yield and stop."""
+default on all roads but straight motorways, where vehicles turn, yield and stop."""
 
 HIGHWAY_ENV = Profile(
     name="highway-env",

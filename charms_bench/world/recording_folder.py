@@ -49,7 +49,7 @@ def find_trios(folder: Path) -> list[Trio]:
 
 
 def _in_tables(paths: Sequence[Path], place: Path) -> list[Trio]:
-    """The tables of NGSIM among some files; raises a `DataError` if there is none."""
+    """The tables of NGSIM among some files; raises a `DataError` without one."""
     found = [path for path in paths if path.suffix == ".csv" and is_ngsim(path)]
     if not found and any(path.suffix == ".xml" for path in paths):
         raise DataError(

@@ -29,7 +29,7 @@ from charms_bench.world.lane_geometry import (
 )
 
 NO_LINE, STRIPED, SOLID, SOLID_LINE = range(4)
-"""Kinds of lines beside lanes, of which the last two are drawn alike [`LineType`]."""
+"""Kinds of lines beside lanes; the last two are drawn alike [`LineType`]."""
 _FLOATS = (
     "x y direction_x direction_y heading length width speed_limit amplitude pulsation phase "
     "radius start_phase turn"

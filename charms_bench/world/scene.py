@@ -138,7 +138,7 @@ class SceneSettings(FrozenModel):
     @model_validator(mode="before")
     @classmethod
     def _of_cells(cls, value: Any) -> Any:
-        """Refuses what a suite gives as a road or as a traffic model."""
+        """Rejects keys that a suite gives as a road or as a traffic model."""
         for name, what in _OF_CELLS.items() if isinstance(value, dict) else ():
             if name in value:
                 kind = PydanticCustomError("of_cells", "{what}", {"what": what})

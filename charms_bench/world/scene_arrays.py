@@ -82,5 +82,5 @@ class SceneArrays(NamedTuple):
     impact: Bools
     """[B, N] whether there is such a displacement."""
     road: Straight
-    """In the `Engine.state` of one of highway-env's roads, a `Network`, of which lanes are rows."""
+    """In the `Engine.state` of one of highway-env's roads, a `Network` with lanes as rows."""
     constants: Constants

@@ -66,14 +66,14 @@ class Recording:
     lane_id_disagreements: int
     """Number of rows between the outer markings whose `laneId` contradicts y."""
     occasion: str
-    """Location, month, weekday and start time as stated, without those that are not. Recordings
+    """Location, month, weekday and start time, as far as they are stated. Recordings
     that state the same may overlap in time."""
     location: str
     """The location as stated; empty if it is not."""
 
     @property
     def lane_changes(self) -> pl.DataFrame:
-        """One row per lane change between two lanes in each of which the vehicle stays `STAY_S`.
+        """One row per lane change between two lanes if the vehicle stays `STAY_S` in both.
 
         Columns vehicle, lane, next_lane, and the first and last frame of the stay in `lane`,
         called frame and last.
@@ -92,10 +92,10 @@ class Recording:
 def slope(
     vehicle: pl.Series, frame: pl.Series, values: Floats, rate_hz: float, around: int = 1
 ) -> Floats:
-    """How fast values change, per second, from so many frames before to as many after.
+    """How fast values change, per second, from `around` frames before to `around` frames after.
 
-    Rows are sorted by vehicle and frame. Where there is nothing before or after, it is what there
-    is that counts; of a single frame, it is 0.
+    Rows are sorted by vehicle and frame. At the ends of a vehicle's rows, fewer frames count; with
+    a single frame, the result is 0.
     """
     vehicles, frames = vehicle.to_numpy(), frame.to_numpy()
     size = vehicles.size

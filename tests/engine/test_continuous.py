@@ -88,26 +88,6 @@ def test_the_control_is_highway_envs_to_the_last_bit(pairs: list[Any], kind: Any
         assert float(found[1][row]) == float(expected["steering"])
 
 
-@pytest.mark.parametrize(
-    ("profile", "density", "share"),
-    [("highway-env", 2.0, 0.0), ("highway-env", 3.0, 0.3), ("charms", 2.0, 0.5)],
-)
-def test_both_engines_move_alike(profile: str, density: float, share: float) -> None:
-    scene = SceneSettings(profile=PROFILES[profile], density=density, traffic_vehicles=12)
-    traffic = {"idm_mobil": 1 - share, "weaver": share}
-    ours, theirs = (simulation(scene, 4, engine, **traffic) for engine in ENGINES)
-    rng = np.random.default_rng(0)
-    scale = np.array([[1.0, 0.001], [1.0, 0.01], [1.0, 0.1], [1.0, 1.0]])
-    for step in range(24):
-        actions = (scale * rng.uniform(-1, 1, (4, 2))).astype(np.float32)
-        actions[3, 0] = -1.0
-        for running in (ours, theirs):
-            running.step(actions)
-        assert_equal_scenes(ours, theirs, step)
-        assert (ours.ending == theirs.ending).all()
-    assert ours.failed.any()
-
-
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_vehicle_with_constant_steering_drives_a_circle(engine: EngineName) -> None:
     running = simulation(FREE, engine=engine)

@@ -145,17 +145,6 @@ def test_a_new_driver_remembers_nothing() -> None:
     assert np.array_equal(seated.memory[0, 1 - state.ego[0]], state.memory[0, 1 - state.ego[0]])
 
 
-@pytest.mark.slow
-def test_a_driver_model_with_memory_drives_the_same_in_both_engines() -> None:
-    found = [
-        driven(simulation(make_agent("level_0"), Hesitant(), 3, engine), SEEDS[:3], steps=3).scene
-        for engine in ("batched", "highway-env")
-    ]
-    assert np.array_equal(found[0].memory, found[1].memory)
-    assert found[0].memory.max() == 3 * SETTINGS.steps_per_decision
-    np.testing.assert_allclose(found[0].x, found[1].x, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("answer", "message"),
     [

@@ -42,18 +42,6 @@ def test_repeated_commands_change_the_target_speed_by_growing_steps(
     np.testing.assert_array_equal(np.diff(targets), changes)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_restored_vehicle_continues_its_row_of_commands(engine: EngineName) -> None:
-    made, later = driven_from_outside(engine), driven_from_outside(engine)
-    for _ in range(2):
-        made.step(np.array([SLOWER]))
-    later.restore(made.state())
-    for each in (made, later):
-        each.step(np.array([SLOWER]))
-    assert later.state() == made.state()
-    assert later.scene.target_speed[later.ego_vehicles] == 25.0 - 0.25 - 0.5 - 1.0
-
-
 def test_a_new_driver_begins_with_the_smallest_step() -> None:
     made = driven_from_outside("batched")
     made.step(np.array([FASTER]))

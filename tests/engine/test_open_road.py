@@ -9,10 +9,8 @@ from charms_baselines.varied_idm import VariedIdmMobil
 from pydantic import ValidationError
 from scipy import stats
 
-from charms_bench import load_state, save_state
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import EngineName
 from charms_bench.engine.simulation import Simulation
-from charms_bench.engine.state import SceneState
 from charms_bench.errors import InputError
 from charms_bench.plugins.traffic import Mixture, Traffic
 from charms_bench.world.scene import Scene, SceneSettings
@@ -158,40 +156,6 @@ def test_vehicles_that_enter_have_the_types_of_the_scene() -> None:
     assert is_truck.size > 200
     of_cars = np.array([*wanted.values()])[~is_truck]
     assert stats.kstest(of_cars, stats.truncnorm(-2, 2, loc=30, scale=3).cdf).pvalue > 1e-3
-
-
-@pytest.mark.slow
-def test_both_engines_agree_while_vehicles_come_and_go() -> None:
-    ours, theirs = started(seeds=2), started("highway-env", seeds=2)
-    for one, other in zip(moments(ours), moments(theirs), strict=True):
-        for name in ("present", "entry", "target_lane", "crashed"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
-        for name in ("x", "y", "speed", "length", "target_speed", "timer_s", "parameters"):
-            found = (getattr(scene, name)[scene.present] for scene in (one, other))
-            np.testing.assert_allclose(*found, rtol=0, atol=1e-9, err_msg=name)
-    assert (ours.ending == theirs.ending).all()
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_restored_scene_continues_with_the_same_vehicles(engine: EngineName) -> None:
-    made, later = started(engine, seeds=2), started(engine, seeds=2)
-    later.reset(np.array([7, 8], dtype=np.uint64))
-    kept: list[SceneState] = [made.state() for _ in moments(made)]
-    for start in range(100, 250, 50 if engine == "batched" else 149):
-        later.restore(kept[start])
-        if later.phase == later.settings.steps_per_decision:
-            later.finish_step()
-        for k, _ in enumerate(moments(later)):
-            assert later.state() == kept[start + 1 + k], (start, k)
-
-
-def test_a_state_file_keeps_a_scene_with_empty_places(tmp_path: Any) -> None:
-    made, later = started(), started()
-    for _ in range(30):
-        made.step()
-    later.restore(made.state())
-    save_state(later.state(), tmp_path / "state.json")
-    assert load_state(tmp_path / "state.json") == made.state()
 
 
 def test_a_full_road_is_an_error_that_says_so() -> None:

@@ -1,6 +1,5 @@
 """A policy can have speed steps of its own, beside policies that have the profile's."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +17,8 @@ from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.consistency import checked
 from charms_bench.plugins.registry import make_agent
-from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.testing import verify
-from charms_bench.testing.verify import Case
 from charms_bench.world.actions import (
-    ACTIONS,
     FASTER,
     IDLE,
     LANE_LEFT,
@@ -201,58 +196,6 @@ def test_a_policy_that_is_held_to_its_word_keeps_its_steps() -> None:
     held = checked(*policies, SceneSettings(), np.random.default_rng(0))
     assert isinstance(held, Policy)
     assert held.actions == with_speed_steps(*GROWING)
-
-
-def network(
-    network_file: Callable[..., Path], name: str, steps: str | None = None, seed: int = 0
-) -> Path:
-    """A file whose network has random weights, and decides on FASTER and SLOWER most often."""
-    weights = np.random.default_rng(seed).normal(size=(35, 5))
-    weights[:, [ACTIONS.index("LANE_LEFT"), ACTIONS.index("LANE_RIGHT")]] *= 0.3
-    said = {} if steps is None else {"target_speed_steps_mps": steps}
-    return network_file(weights, name=name, metadata=said)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("ego", "traffic"), [("[0.25, 0.5, 1, 2]", None), (None, "[0.25, 0.5, 1, 2]"), ("[1]", "[3]")]
-)
-@pytest.mark.parametrize("profile", ["charms", "highway-env", "naturalistic"])
-def test_both_engines_agree_to_the_last_bit(
-    network_file: Callable[..., Path],
-    monkeypatch: pytest.MonkeyPatch,
-    profile: str,
-    ego: str | None,
-    traffic: str | None,
-) -> None:
-    monkeypatch.setenv("OPENBLAS_CORETYPE", "")  # what is set for the worker ends with this test
-    own = network(network_file, "ego.onnx", ego, seed=34)
-    others = network(network_file, "others.onnx", traffic, seed=8)
-    fields = {"profile": profile, "duration_s": 6.0, "traffic_vehicles": 8}
-    case = Case(
-        scene=SceneSettings.model_validate(fields),
-        ego=AgentSpec(name=str(own)),
-        traffic=TrafficSpec.model_validate({"mixture": {str(others): 0.7, "idm_mobil": 0.3}}),
-    )
-    (found,) = verify.verify([case], episodes=2, seed=900_000_000, workers=1)
-    assert (found.differences, found.largest) == ((), 0.0)
-    assert found.steps > 100
-
-
-@pytest.mark.parametrize("traffic", ["recorded", "recorded_until_deviation"])
-def test_both_engines_agree_in_recorded_scenes(
-    network_file: Callable[..., Path], tmp_path: Path, traffic: str
-) -> None:
-    write_trio(tmp_path, flowing_road(10), rate=10)
-    fields = {"profile": "highway-env", "simulation_hz": 30, "duration_s": 2.0}
-    case = Case(
-        scene=scene_of(fields | {"recording": str(tmp_path)}),
-        ego=AgentSpec(name=str(network(network_file, "ego.onnx", "[0.25, 0.5]", seed=1))),
-        traffic=TrafficSpec(name=traffic),
-    )
-    found = verify.compare(case, 0, 3)
-    assert found.differences == ()
-    assert found.steps > 100
 
 
 def test_recorded_vehicles_start_at_their_speed_under_a_policy_with_steps(tmp_path: Path) -> None:

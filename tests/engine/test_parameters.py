@@ -83,22 +83,6 @@ def test_other_drivers_do_not_change_the_draws() -> None:
     assert not mixed.scene.parameters[~is_varied].any()
 
 
-@pytest.mark.parametrize("other", ENGINES)
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_state_continues_with_the_same_parameters(engine: EngineName, other: EngineName) -> None:
-    running = started(engine)
-    for _ in range(3):
-        running.step()
-    continued = started(other, seeds=(8, 9))
-    continued.restore(running.state())
-    for _ in range(6):
-        running.step()
-        continued.step()
-    for name in ("parameters", "x", "speed", "target_lane"):
-        found, expected = (getattr(each.scene, name) for each in (continued, running))
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9, err_msg=name)
-
-
 def test_a_driver_that_takes_over_has_parameters() -> None:
     running = started(ego="idm_mobil", traffic=OneAgent("idm_mobil"))
     branch = started(ego="idm_mobil")

@@ -158,21 +158,6 @@ CASES = [
 ]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("episodes", [3, pytest.param(27, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("ego", "traffic"), CASES)
-def test_both_engines_agree(tmp_path: Path, ego: str | None, traffic: str, episodes: int) -> None:
-    settings = scene_of(tmp_path, flowing_road(10))
-    case = Case(
-        scene=settings,
-        ego=None if ego is None else AgentSpec(name=ego),
-        traffic=TrafficSpec(name=traffic),
-    )
-    found = compare(case, 0, episodes)
-    assert found.differences == ()
-    assert found.steps > 30 * episodes
-
-
 def test_both_engines_agree_on_a_vehicle_that_is_recorded_rolling_back(tmp_path: Path) -> None:
     standing = [Row(frame=k + 1, x=100.0, vx=-0.001) for k in range(21)]
     driving = driven(Row(vehicle=2, x=120.0, vx=20.0), 21, rate=10)
@@ -283,27 +268,6 @@ def test_others_take_over_once_the_ego_deviates(tmp_path: Path) -> None:
     while follower.scene.active.any():
         follower.step()
     assert follower.drivers[0, 1] == "recorded"
-
-
-@pytest.mark.parametrize("traffic", ["recorded", UNTIL, "idm_mobil"])
-@pytest.mark.parametrize("engine", ["batched", "highway-env"])
-def test_a_saved_state_continues_as_if_it_had_not_been_saved(
-    tmp_path: Path, traffic: str, engine: EngineName
-) -> None:
-    settings = scene_of(tmp_path, flowing_road(10))
-    whole = simulation_of(settings, "idm_mobil", traffic, 3, engine)
-    for _ in range(25):
-        whole.advance()
-        if whole.phase == 10:
-            whole.finish_step()
-    branch = simulation_of(settings, "idm_mobil", traffic, 3, engine)
-    branch.restore(whole.state())
-    for simulation in (whole, branch):
-        for _ in range(20):
-            simulation.advance()
-            if simulation.phase == 10:
-                simulation.finish_step()
-    assert whole.state() == branch.state()
 
 
 def test_a_state_of_a_recording_is_not_written_to_a_file(tmp_path: Path) -> None:

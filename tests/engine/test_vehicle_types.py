@@ -13,12 +13,11 @@ from scipy import stats
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.engine.draws import draws_of
 from charms_bench.engine.simulation import Simulation
-from charms_bench.engine.state import ARRAYS
 from charms_bench.errors import InputError
 from charms_bench.foundation.generator import seeded
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.scenario import Scenario
-from charms_bench.world.scene import Scene, SceneSettings
+from charms_bench.world.scene import SceneSettings
 
 CAR = {"name": "car", "proportion": 0.75, "desired_speed_mps": [26, 33]}
 TRUCK = {
@@ -110,42 +109,6 @@ def test_parameters_of_a_type_are_uniform_in_its_range() -> None:
     assert stats.kstest((of_trucks - 1.0) / 0.5, "uniform").pvalue > 1e-3
     of_cars = made.scene.parameters[traffic & ~trucks][:, 0]
     assert stats.kstest((of_cars - 1.0) / 3.0, "uniform").pvalue > 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("profile", ["charms", "highway-env"])
-@pytest.mark.parametrize("ego", ["idm_mobil", "stackelberg", "varied"])
-def test_both_engines_move_trucks_and_cars_alike(profile: str, ego: str) -> None:
-    motorcycle = {"name": "motorcycle", "proportion": 0.25, "length_m": 2.0, "width_m": 0.8}
-    types = ({**CAR, "proportion": 0.5}, TRUCK, motorcycle)
-    settings = settings_of(*types, profile=profile, density=2.5, ego_type="truck")
-    ours, theirs = (started(settings, 2, engine, ego) for engine in ENGINES)
-    for step in range(100):
-        for made in (ours, theirs):
-            made.advance()
-            made.phase = 0 if made.phase == settings.steps_per_decision else made.phase
-        for name in ("x", "y", "heading", "speed", "acceleration", "target_speed"):
-            one, other = (getattr(made.scene, name) for made in (ours, theirs))
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-6, err_msg=f"{name} {step}")
-        for name in ("length", "width", "lane", "target_lane", "crashed", "parameters"):
-            one, other = (getattr(made.scene, name) for made in (ours, theirs))
-            np.testing.assert_array_equal(one, other, f"{name} {step}")
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_state_continues_with_its_types_in_either_engine(engine: EngineName) -> None:
-    made, continued = started(ego="varied"), started(engine=engine, ego="varied")
-    made.step()
-    state = made.state()
-    continued.reset(np.array([8, 9], dtype=np.uint64))
-    continued.restore(state)
-    for name in ("length", "width", "parameters"):
-        np.testing.assert_array_equal(getattr(continued.scene, name), getattr(made.scene, name))
-    made.step()
-    continued.step()
-    for name in {*ARRAYS} & {*Scene._fields}:
-        one, other = (getattr(each.state(), name) for each in (made, continued))
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9, err_msg=name)
 
 
 def test_draws_place_vehicles_with_the_types_of_their_seeds() -> None:
@@ -255,14 +218,6 @@ def test_quantities_of_a_type_have_their_distributions_and_correlations() -> Non
             expected_rho = 6 / np.pi * np.arcsin(given.get(frozenset({one, other}), 0.0) / 2)
             rho = stats.spearmanr(found[one], found[other]).statistic
             assert one == other or abs(rho - expected_rho) < 0.05, (one, other)
-
-
-def test_a_state_restores_correlated_parameters() -> None:
-    settings = settings_of(TALL, profile="naturalistic")
-    made, other = (started(settings, ego="varied") for _ in range(2))
-    other.reset(np.array([8, 9], dtype=np.uint64))
-    other.restore(made.state())
-    np.testing.assert_array_equal(other.scene.parameters, made.scene.parameters)
 
 
 @pytest.mark.parametrize(

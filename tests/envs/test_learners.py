@@ -1,21 +1,15 @@
 """Vehicles driven from outside: how they move, who drives the others, and what ends whom."""
 
-import json
-import os
-import subprocess
-import sys
 from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
 import highway_env  # noqa: F401  # registers highway-v0
-import learners_of_both_engines
 import numpy as np
 import pytest
 from highway_env.envs.highway_env import HighwayEnv
 
 from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME
-from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.highway_reward import highway_rewards
@@ -56,22 +50,6 @@ class Whims(Policy):
 
     def decide(self, observations: Observations) -> Actions:
         return (observations.sum(axis=(1, 2)) * 1e4).astype(np.int64) % len(ACTIONS)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("profile", PROFILES)
-@pytest.mark.parametrize("numbers", [range(12), (0, 3, 4, 9)])
-def test_both_engines_move_many_learners_alike_to_the_last_bit(profile: str, numbers: Any) -> None:
-    program = [sys.executable, learners_of_both_engines.__file__, profile, "3", *map(str, numbers)]
-    environment = {**os.environ, **worker_environment("highway-env")}
-    done = subprocess.run(program, env=environment, stdout=subprocess.PIPE, check=True, text=True)
-    found = json.loads(done.stdout)
-    assert found["largest"] == 0.0
-    assert found["driven"] == 3 * len(numbers)
-    assert found["steps"] >= 3 * 24 * 5
-    # Learners of the profile naturalistic hardly crash, because their first steps are small.
-    assert found["crashed"] > 2 or profile == "naturalistic"
-    assert found["lane_changes"] > 20
 
 
 def test_a_scene_is_that_of_highway_envs_own_multi_agent_environment() -> None:

@@ -44,13 +44,6 @@ def test_pettingzoos_own_tests_have_nothing_to_say(kind: dict[str, Any]) -> None
     parallel_seed_test(partial(HighwayParallelEnv, **kind))
 
 
-def test_whole_episodes_are_the_same_for_the_same_seed() -> None:
-    one, other = HighwayParallelEnv(density=2.0), HighwayParallelEnv(density=2.0)
-    for seed in (3, 4):
-        for mine, same in zip(until_over(one, seed), until_over(other, seed), strict=True):
-            np.testing.assert_equal(mine, same)
-
-
 def test_it_has_the_episodes_of_the_vector_environment() -> None:
     """Until the last agent has left; the vector environment then starts the next scene."""
     single, many = HighwayParallelEnv(density=2.0), LearnersVectorEnv(1, density=2.0)

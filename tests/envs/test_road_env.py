@@ -169,19 +169,6 @@ def test_reset_takes_a_configuration() -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["merge-v0", "roundabout-v0"])
-def test_available_actions_are_those_of_highway_env(name: str) -> None:
-    env, theirs = ours(name), stock(name)
-    for seed in range(3):
-        for each in (env, theirs):
-            each.reset(seed=seed)
-        for action in (2, 3, 0, 4):
-            expected = theirs.unwrapped.get_available_actions()
-            assert env.unwrapped.get_available_actions() == expected
-            if theirs.step(action)[2] | env.step(action)[2]:
-                break
-
-
 @pytest.mark.parametrize(
     ("config", "what"),
     [
@@ -258,22 +245,6 @@ def test_the_vector_environment_of_a_car_park_is_gymnasiums_of_highway_env() -> 
             np.testing.assert_allclose(final["achieved_goal"], other["achieved_goal"], atol=1e-9)
             success = [each[4]["final_info"]["is_success"][row] for each in (found, expected)]
             assert success[0] == success[1]
-
-
-def test_the_vector_environment_of_a_racetrack_is_gymnasiums_of_highway_env() -> None:
-    count, mode = 2, AutoresetMode.SAME_STEP
-    theirs = SyncVectorEnv([lambda: stock("racetrack-v1")] * count, autoreset_mode=mode)
-    env = vector("racetrack-v1", count)
-    np.testing.assert_array_equal(env.reset(seed=1)[0], theirs.reset(seed=1)[0])
-    env.action_space.seed(0)
-    ended = 0
-    while not ended:
-        actions = env.action_space.sample()
-        found, expected = env.step(actions), theirs.step(actions)
-        np.testing.assert_array_equal(found[0], expected[0])
-        np.testing.assert_allclose(found[1], expected[1], rtol=0, atol=1e-6)
-        np.testing.assert_array_equal(found[2:4], expected[2:4])
-        ended = (found[2] | found[3]).sum()
 
 
 def test_noise_is_drawn_in_the_order_of_highway_env() -> None:

@@ -128,17 +128,6 @@ def test_the_kth_episode_to_start_has_the_kth_seed() -> None:
     assert env.simulation.seeds.tolist() == [5, 6, 7]
 
 
-def test_the_same_seed_gives_the_same_episodes() -> None:
-    runs = []
-    for _ in range(2):
-        env = environment(SceneSettings())
-        env.reset(seed=11)
-        runs.append(random_steps(env, 0, 90))
-    for one, other in zip(*runs, strict=True):
-        for value, same in zip(one, other, strict=True):
-            np.testing.assert_array_equal(value, same)
-
-
 def test_a_restored_environment_goes_on_as_if_nothing_had_happened() -> None:
     env = environment(SceneSettings(), scenes=6)
     env.reset(seed=11)

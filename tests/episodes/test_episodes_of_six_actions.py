@@ -1,7 +1,6 @@
 """A network with six outputs is run, replayed, branched, searched and compared as it says."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +18,12 @@ from charms_bench.episodes.replay import replay
 from charms_bench.episodes.what_if import what_if
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.report.html.packed import pack
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
-from charms_bench.testing import verify
-from charms_bench.testing.verify import Case
 from charms_bench.world.actions import DEFAULT_ACTIONS, FASTER, MetaAction
 from charms_bench.world.observations import FRONT
 from charms_bench.world.picture import status_of
-from charms_bench.world.scene import SceneSettings
 
 BRAKE = 5
 SIX = (*DEFAULT_ACTIONS, MetaAction("BRAKE", speed_from_present_mps=-6.0))
@@ -111,36 +106,6 @@ def test_a_dataset_has_its_space_and_its_environment(cell: RecordedCell) -> None
     environment = spec.make()
     assert environment.action_space.n == 6  # type: ignore[attr-defined]
     assert environment.reset(seed=900_000_000)[1]["action_mask"].shape == (6,)
-
-
-def test_both_engines_agree(tmp_path: Path) -> None:
-    case = Case(
-        scene=SceneSettings.model_validate(SCENE | {"duration_s": 3.0}),
-        ego=AgentSpec(name=str(braking(tmp_path))),
-        traffic=TrafficSpec(name="idm_mobil"),
-    )
-    found = verify.compare(case, 900_000_000, 4)
-    assert found.differences == ()
-    assert found.steps > 100
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("profile", ["charms", "highway-env", "naturalistic"])
-def test_both_engines_agree_to_the_last_bit(
-    network_file: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, profile: str
-) -> None:
-    monkeypatch.setenv("OPENBLAS_CORETYPE", "")  # what is set for the worker ends with this test
-    weights = np.random.default_rng(3).normal(size=(35, 6)) * [0.3, 1, 0.3, 1, 1, 1]
-    six = str(network_file(weights, name="six.onnx", metadata={"actions": TEXT}))
-    others = {six: 0.4, "level_0": 0.3, "idm_mobil": 0.3}
-    case = Case(
-        scene=SceneSettings.model_validate(SCENE | {"profile": profile}),
-        ego=AgentSpec(name=six),
-        traffic=TrafficSpec.model_validate({"mixture": others}),
-    )
-    (found,) = verify.verify([case], episodes=2, seed=900_000_000, workers=1)
-    assert (found.differences, found.largest) == ((), 0.0)
-    assert found.steps > 60
 
 
 @pytest.mark.parametrize(

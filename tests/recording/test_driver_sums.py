@@ -138,17 +138,6 @@ def test_the_egos_crash_is_of_the_kind_that_ended_its_episode() -> None:
     assert set(ego["ending"]) >= {"side", "rear_end"}
 
 
-def test_both_engines_record_the_same_conduct() -> None:
-    settings = SceneSettings(density=2.0, duration_s=10.0)
-    engines = (simulated(settings, 2, MIXED, name)[1] for name in ("batched", "highway-env"))
-    of_each = [(each.drivers(), each.steps(), each.episodes()) for each in engines]
-    for ours, theirs in zip(*of_each, strict=True):
-        assert ours.select(~pl.selectors.float()).equals(theirs.select(~pl.selectors.float()))
-        for name in ours.select(pl.selectors.float()).columns:
-            np.testing.assert_allclose(ours[name], theirs[name], atol=1e-5, err_msg=name)
-    assert of_each[0][1]["planar_ttc"].is_not_null().any()
-
-
 def test_the_new_follower_of_a_lane_change_is_watched_for_two_seconds() -> None:
     settings = SceneSettings(traffic_vehicles=14)
     agents = {"idm_mobil": IdmMobil(), "reckless": Reckless()}

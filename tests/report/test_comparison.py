@@ -4,13 +4,12 @@ import json
 from typing import Any
 
 import numpy as np
-import polars as pl
 import pytest
+from handmade_cells import cell_of
 from rich.console import Console
 
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS, PAPER
-from charms_bench.recording.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.report.comparison import by_pair, compare, to_dicts
 from charms_bench.report.table import Table
 from charms_bench.report.terminal import grid
@@ -40,18 +39,7 @@ def cell(agent: str, speed: float, crashes: int = 0, traffic: str = "idm") -> Ce
         for e in range(EPISODES)
         for k in range(1, 16)
     ]
-    return CellRows(
-        agent=agent,
-        traffic=traffic,
-        size=len(heads),
-        parts=[
-            (
-                pl.DataFrame(heads, schema=EPISODE_SCHEMA),
-                pl.DataFrame(steps, schema=STEP_SCHEMA),
-            )
-        ],
-        drivers=[(NO_DRIVERS,)],
-    )
+    return cell_of(agent, heads, steps, traffic)
 
 
 def compared(*pairs: tuple[CellRows, CellRows], only: tuple[str, ...] = ()) -> Table:

@@ -8,9 +8,10 @@ import numpy as np
 import polars as pl
 import pytest
 from command_line import charms_bench
+from handmade_cells import cell_of
 
 from charms_bench.errors import SuiteError
-from charms_bench.recording.columns import DRIVER_SCHEMA, EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.recording.columns import DRIVER_SCHEMA
 from charms_bench.report.pairs_table import COMPARED, guess_summary, guessed, pairs_table
 from charms_bench.report.run_files import measure, write_run
 from charms_bench.runs.cells import CellRows
@@ -53,18 +54,8 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
     heads = [{"episode": e, **head} for e in range(EPISODES)]
     nothing = dict.fromkeys(DRIVER_SCHEMA, 0) | {"agent": agent, "is_ego": True, "vehicles": 1}
     drivers = [nothing | {"episode": e} for e in range(EPISODES)]
-    return CellRows(
-        agent=agent,
-        traffic="idm",
-        size=len(heads),
-        parts=[
-            (
-                pl.DataFrame(heads, schema=EPISODE_SCHEMA),
-                pl.DataFrame(steps, schema=STEP_SCHEMA),
-            )
-        ],
-        drivers=[(pl.DataFrame(drivers, schema=DRIVER_SCHEMA),)],
-    )
+    of_drivers = [(pl.DataFrame(drivers, schema=DRIVER_SCHEMA),)]
+    return cell_of(agent, heads, steps, drivers=of_drivers)
 
 
 def by_metric(one: CellRows, other: CellRows) -> dict[object, dict[str, Any]]:

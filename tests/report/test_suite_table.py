@@ -5,10 +5,10 @@ from pathlib import Path
 import polars as pl
 import pytest
 from ego_table import SUITE
+from handmade_cells import cell_of
 from rich.console import Console
 
 from charms_bench.metrics import PAPER, STANDARD
-from charms_bench.recording.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.report.markdown import document
 from charms_bench.report.run_files import write_table
 from charms_bench.report.stored import stored_tables
@@ -34,19 +34,7 @@ def cell(
     others = {"traffic_vehicles": 20, "traffic_crashed": 0, "traffic_distance_m": 200.0}
     rows = [{"episode": e, "speed": speed, **step, **front} for e, speed in enumerate(speeds)]
     heads = [{"episode": e, **head, **others} for e in range(len(speeds))]
-    return CellRows(
-        agent=agent,
-        traffic=traffic,
-        size=len(heads),
-        parts=[
-            (
-                pl.DataFrame(heads, schema=EPISODE_SCHEMA),
-                pl.DataFrame(rows, schema=STEP_SCHEMA),
-            )
-        ],
-        drivers=[(NO_DRIVERS,)],
-        paper=paper or {},
-    )
+    return cell_of(agent, heads, rows, traffic, paper=paper or {})
 
 
 def suite_table(suite: Suite, cells: list[CellRows]) -> Table:

@@ -5,7 +5,7 @@ import io
 import polars as pl
 import pytest
 from ego_table import EGO, SUITE
-from rich.console import Console, RenderableType
+from handmade_cells import lines
 
 from charms_bench.report.number import Number
 from charms_bench.report.pairs_table import KEYS, LONG
@@ -15,13 +15,6 @@ from charms_bench.report.table import Column, Row, Table, long_schema
 from charms_bench.report.terminal import compact, drawn, grid
 
 TABLE = from_frame(pl.read_csv(io.StringIO(EGO)), SUITE)
-
-
-def lines(shown: RenderableType, width: int = 80) -> list[str]:
-    console = Console(width=width, color_system=None)
-    with console.capture() as capture:
-        console.print(shown)
-    return [line.rstrip() for line in capture.get().splitlines()]
 
 
 def test_every_value_has_its_interval_as_numbers_and_as_a_bar() -> None:

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from rich.console import Console, RenderableType
+from handmade_cells import lines
 
 from charms_bench.errors import RunFolderError
 from charms_bench.report.terminal import grid
@@ -32,13 +32,6 @@ COLUMNS = {
         "agreement": {"over": "epoch", "title": "agreement"},
     },
 }
-
-
-def lines(shown: RenderableType, width: int = 80) -> list[str]:
-    console = Console(width=width, color_system=None)
-    with console.capture() as capture:
-        console.print(shown)
-    return [line.rstrip() for line in capture.get().splitlines()]
 
 
 def test_a_training_shows_its_stages_and_curves(tmp_path: Path) -> None:

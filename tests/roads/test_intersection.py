@@ -5,23 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drawn_configurations import random_configuration
 
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.scenes import IDM, NOTHING
 from charms_bench.testing.road_parity import Comparison
 
 SLOWER, IDLE = 0, 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["intersection-v0", "intersection-multi-agent-v0"])
-def test_100_random_configurations_give_the_episodes_of_highway_env(
-    name: str, compared: Callable[..., Comparison]
-) -> None:
-    for seed in range(100):
-        config = random_configuration(name, seed)
-        assert compared(name, range(seed, seed + 1), config=config).differing == [], config
 
 
 @pytest.mark.slow

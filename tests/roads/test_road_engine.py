@@ -314,29 +314,6 @@ HUMANS = OneAgent("human")
 MIXED = Mixture({"human": 0.5, "charms": 0.5})
 
 
-@pytest.mark.parametrize("traffic", [OneAgent(PRESCRIBED), HUMANS, MIXED])
-@pytest.mark.parametrize("road", ["merge-v0", "roundabout-v0", "intersection-v2"])
-def test_a_restored_state_continues_exactly(road: str, traffic: Traffic) -> None:
-    one, other = (simulation(road, "charms", 8, traffic) for _ in range(2))
-    for _ in range(10):
-        one.step()
-    one.advance()
-    state = one.state()
-    other.restore(state)
-    assert other.state() == state
-    for made in (one, other):
-        for _ in range(2):
-            made.advance()
-        while made.phase:
-            made.advance()
-            if made.phase == made.settings.steps_per_decision:
-                made.finish_step()
-        for _ in range(20):
-            made.step()
-    assert one.state() == other.state()
-    assert (one.steps > 12).any()
-
-
 def test_a_state_without_its_last_bit_is_another_state() -> None:
     made = simulation("merge-v0", "idm_mobil", 1)
     before = made.state()

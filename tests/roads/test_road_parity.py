@@ -108,9 +108,7 @@ def test_200_episodes_are_those_of_highway_env_to_the_last_bit(name: str) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [each for each in TASKS if each.endswith("v0") and "intersection" not in each]
-)
+@pytest.mark.parametrize("name", [each for each in TASKS if each.endswith("v0")])
 def test_100_random_configurations_give_the_same_episodes(name: str) -> None:
     for seed in range(100):
         config = random_configuration(name, seed)

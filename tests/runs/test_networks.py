@@ -214,23 +214,6 @@ def test_a_network_that_cannot_be_used_is_named_with_its_line_before_anything_ru
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.slow
-def test_both_engines_agree_with_networks_in_the_traffic(
-    network_file: NetworkFile, tmp_path: Path
-) -> None:
-    network_file()
-    suite = tmp_path / "suite.yaml"
-    suite.write_text(
-        "suite: small\nepisodes: 2\nscene: {duration_s: 3.0, traffic_vehicles: 6}\n"
-        "egos: [{agent: policy.onnx}]\n"
-        "traffic_models: [{traffic: policy.onnx}, "
-        "{traffic: {mixture: {policy.onnx: 0.5, level_0: 0.5}}}]"
-    )
-    called = charms_bench("verify", "--suite", suite, "--episodes", 2, "--workers", 1)
-    assert called.returncode == 0, called.stderr
-    assert "4 episodes: the engines agree." in called.stdout
-
-
 def test_runs_are_compared_if_their_traffics_networks_have_the_same_content(
     network_file: NetworkFile, tmp_path: Path
 ) -> None:

@@ -9,7 +9,6 @@ import polars as pl
 import pytest
 from pydantic import ValidationError
 
-from charms_bench.api import open_run
 from charms_bench.api.evaluation import run as run_file
 from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.errors import InputError
@@ -83,10 +82,6 @@ def test_another_agent_takes_over_a_vehicle_that_has_entered(made: Any) -> None:
     (mine, others) = found.futures()[-1]
     assert (mine.vehicle, others.vehicle) == (vehicle, vehicle)
     assert others.agent == "level_0"
-
-
-def test_a_run_is_read_again_from_its_folder(made: Any) -> None:
-    assert open_run(made.path).table.frame().equals(made.table.frame())
 
 
 @pytest.mark.parametrize(

@@ -58,17 +58,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
-def test_workers_and_an_interruption_change_no_row(run: Path, tmp_path: Path) -> None:
-    folder = written(tmp_path)
-    command = ("run", "small.yaml", "--output", "run", "--workers")
-    assert command_line(*command, 1, cwd=folder).returncode == 0
-    for path in sorted((folder / "run" / "checksums").iterdir())[::2]:
-        path.unlink()  # as if these shards had not been finished
-    assert command_line(*command, 2, cwd=folder).returncode == 0
-    for kind in ("episodes", "steps", "drivers", "counts"):
-        assert rows(folder / "run", kind).equals(rows(run, kind))
-
-
 def test_the_recorded_driver_among_replayed_vehicles_never_crashes(run: Path) -> None:
     found = command_line("show", run, "--json").stdout
     assert '"Recorded driver"' in found

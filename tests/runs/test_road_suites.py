@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,6 @@ from charms_bench.people.population import read_population
 from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.settings import on_road
 from charms_bench.runs.likeness import standard
-from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite, load_suite
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.road import local_coordinates
@@ -78,23 +77,6 @@ def test_a_straight_road_has_no_goal_to_reach() -> None:
     sums = [row.select(*reached.sums).row(0) for row in rows.iter_slices(1)]
     values = reached.value(np.array([sums[0], np.sum(sums[1:], axis=0)], dtype=float))
     np.testing.assert_array_equal(values, [np.nan, 0.5])
-
-
-def test_a_run_is_read_again_from_its_folder(made: Any) -> None:
-    again = open_run(made.path)
-    assert again.suite.fingerprint() == made.suite.fingerprint()
-    assert again.table.frame().equals(made.table.frame())
-
-
-def test_a_finished_run_simulates_nothing_again(made: Any) -> None:
-    told: list[str] = []
-
-    def simulate_nothing(tasks: Any, *_: Any) -> Generator[Any, None, None]:
-        told.extend(task.title for task in tasks)
-        yield from ()
-
-    run(made.suite, made.path, cluster=simulate_nothing)
-    assert told == []
 
 
 def test_a_replay_is_the_recorded_episode_on_the_network(made: Any, tmp_path: Path) -> None:
@@ -165,12 +147,6 @@ def test_the_roads_of_a_suite_are_compared_with_highway_env(made: Any) -> None:
     assert [*found] == ["merge-v0", "Bend"]
     for row in found.values():
         assert (row["episodes"], row["differing"], row["largest"]) == (2, 0, 0.0)
-
-
-def test_rows_do_not_depend_on_the_number_of_workers(made: Any, tmp_path: Path) -> None:
-    two = run_file(made.path.parent / "roads.yaml", tmp_path / "two", workers=2)
-    for name in ("episodes", "steps"):
-        assert getattr(two, name).equals(getattr(made, name))
 
 
 def test_the_vehicle_from_the_ramp_is_measured_on_merges_only(made: Any) -> None:

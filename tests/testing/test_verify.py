@@ -98,28 +98,6 @@ def test_vehicles_of_the_default_cases_pass_the_ends_of_the_road(which: int) -> 
         assert (placed.x[:, 0] + placed.speed[:, 0] * duration_s > end + 5).mean() > 0.5
 
 
-def test_the_default_cases_have_vehicles_and_lanes_of_different_sizes() -> None:
-    profiles = [case.scene.profile for case in default_cases()[0]]
-    lengths = {profile.vehicle_length_m for profile in profiles}
-    widths = {profile.vehicle_width_m for profile in profiles}
-    lanes = {profile.lane_width_m for profile in profiles}
-    assert (min(lengths), max(lengths)) == (3.0, 18.0)
-    assert (min(widths), max(widths)) == (1.6, 2.6)
-    assert (min(lanes), max(lanes)) == (3.0, 4.5)
-
-
-def test_the_default_cases_have_trucks_among_cars() -> None:
-    types = [case.scene.vehicle_types for case in default_cases()[0] if case.scene.vehicle_types]
-    assert all({"car", "truck"} <= {each.name for each in own} for own in types)
-    assert any(each.driver_parameters for own in types for each in own)
-
-
-def test_the_default_cases_have_open_boundaries() -> None:
-    of_open_roads = [case for case in default_cases()[0] if case.scene.inflow is not None]
-    assert {case.traffic.name for case in of_open_roads} == {"idm_mobil_varied", "human"}
-    assert all(case.title.endswith("open boundaries") for case in of_open_roads)
-
-
 def test_the_default_cases_cover_what_they_promise() -> None:
     cases, episodes = default_cases()
     assert len(cases) * episodes >= 1000

@@ -214,16 +214,6 @@ def test_the_closest_lanes_of_an_environment_are_the_same(network: RoadNetwork) 
         assert names[lane] == expected
 
 
-def test_the_lanes_of_an_environment_give_the_same_bits(network: RoadNetwork) -> None:
-    road, rng = road_of(network), np.random.default_rng(1)
-    for number, lane in enumerate(network.lanes_list()):
-        x, y, heading = near(network, 10)
-        for point in zip(x, y, heading, strict=True):
-            s, r = rng.uniform(-10, lane.length + 10), rng.normal(0, 3)
-            asked = (s, r, *map(float, point), 1.0)
-            assert _answers(road, number, *asked) == of_highway_env(lane, *asked)
-
-
 @pytest.mark.parametrize("has_route", [False, True])
 def test_the_next_lanes_of_an_environment_are_the_same(
     network: RoadNetwork, has_route: bool

@@ -64,7 +64,7 @@ def mutations(path: str, code: bytes) -> Iterator[Mutation]:
 
 
 def drawn(found: Sequence[Mutation], seed: int, count: int) -> list[Mutation]:
-    """So many mutations, as equally from all operators, and then from all modules, as there are.
+    """Draws `count` mutations, as equally as possible from all operators, then from all modules.
 
     Each has a random place of its own, so that a change of other code moves few others.
     """

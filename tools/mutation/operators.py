@@ -1,8 +1,8 @@
 """The faults that are put into code, each a function from a node of a module to its edits.
 
-Rules that keep those rare that nothing can notice: no `<` for `<=` where a side is a fraction or a
-random number, since the sides are never equal; no number below 0.001, which allows for rounding; no
-loop reversed unless it draws, ends early, or keeps what it finds.
+Rules that avoid most changes that no test can notice: no `<` for `<=` where a side is a fraction or
+a random number, since the sides are never equal; no number below 0.001, which allows for rounding;
+no loop reversed unless it draws, ends early, or keeps what it finds.
 """
 
 import ast
@@ -14,7 +14,7 @@ from mutation.module import Edit, Function, Module, name_of, names
 
 DRAWS = re.compile(r"\b(draw\w*|random|uniform|normal|integers|choice|permutation|word)\(")
 SHAPES = {"axis", "decimals", "ndmin", "dtype"}
-"""Arguments of which another number is an error at once."""
+"""Arguments in which another number is an error at once."""
 SYMMETRIC = {"min", "max", "minimum", "maximum", "isinstance", "range", "zip", "hypot", "getattr"}
 _COMPARISON = r"<=|>=|==|!=|<|>|\bnot in\b|\bin\b|\bis not\b|\bis\b"
 _OPPOSITE = {"<": ">", "<=": ">=", "==": "!=", "in": "not in", "is": "is not"}

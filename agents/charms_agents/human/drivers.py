@@ -17,7 +17,7 @@ from charms_bench.world.trajectories import Recording
 
 MEASURED = ("length", "width", "y", "speed", "lateral_speed", "acceleration")
 MOVING_MPS = 1.0
-"""Slower vehicles are not compared: the values of a standing vehicle do not tell it apart."""
+"""Slower vehicles are not compared: the values of a stationary vehicle do not identify it."""
 
 
 def moments(recording: Recording, rows: pl.DataFrame) -> pl.Series:

@@ -1,4 +1,4 @@
-"""Samples of human driving: what a policy is fine-tuned on, from recordings in highD's format.
+"""Samples of human driving for fine-tuning a policy, from recordings in highD's format.
 
 Each sample is one driver at one decision: the driver's observation and a soft label. A
 decision is rejected for the first of `REASONS` that applies. Of the accepted decisions, IDLE ones
@@ -96,8 +96,8 @@ class SampleSettings(FrozenModel):
     step_mps: Positive | None = None
     """If given, with `labels: manoeuvre`, FASTER and SLOWER have the probability with which steps
     of this size, one per decision at most, give the driver's mean acceleration. Without it, as in
-    the paper, they are certain above 0.2 m/s2; a driver who takes such a label at its word
-    accelerates far more than people."""
+    the paper, they are certain above 0.2 m/s2; a policy that follows such labels
+    accelerates far more than human drivers."""
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
     cars_only: bool = True
     min_neighbours: Annotated[int, Field(ge=0, le=6)] = 1

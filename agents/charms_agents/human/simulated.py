@@ -1,4 +1,4 @@
-"""Samples of simulated drivers: what a prior is learnt from where there are too few recordings.
+"""Samples of simulated drivers, from which a prior is learnt where there are too few recordings.
 
 Calibrated drivers drive the egos of simulated episodes. At each decision, a sample has what the
 driver sees and the meta-action that comes closest to what it does: a lane command while it moves to

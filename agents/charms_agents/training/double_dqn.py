@@ -1,6 +1,6 @@
 """Double DQN (van Hasselt et al. 2016), which can be regularised towards human driving.
 
-With a prior, the probabilities p(a | s) that people take each action, the return of a policy pi is
+With a prior p(a | s), the probabilities of human drivers' actions, the return of a policy pi is
 less by lambda times the Kullback-Leibler divergence of pi from p at each decision (Jacob et al.
 2022, piKL). The best policy is then pi ~ p exp(Q / lambda), and the value of an observation is its
 mean of Q - lambda log(pi / p). Without a prior, it is the largest Q. `DoubleDQN.step` is the loop.

@@ -1,4 +1,4 @@
-"""What a network is given of the observations: frames, their order, and a normalisation."""
+"""The input of a network: the frames of an observation, their order, and a normalisation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -53,7 +53,7 @@ class Given:
     """The largest absolute value of the quotient."""
 
     def of(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What the network is given (M, numbers) of observations (M, history, numbers)."""
+        """The network's input (M, numbers) for observations (M, history, numbers)."""
         frames = seen.copy()
         if self.repeats:
             for k in reversed(range(self.history - 1)):

@@ -15,7 +15,7 @@ from charms_bench.world.scene import Observations, SceneSettings
 
 EPISODES = 1_500
 EXPLORATION = 0.02
-"""Probability of a random action, so that the network is also seen beside its usual path."""
+"""Probability of a random action, which adds states off the network's usual path."""
 
 
 def own_driving(

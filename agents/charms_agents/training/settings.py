@@ -162,7 +162,7 @@ class Human(FrozenModel):
 
 
 def _learnt(observation: str | dict[str, Any]) -> str | dict[str, Any]:
-    """Refuses an observation from which the pipeline's networks cannot learn."""
+    """Rejects an observation from which the pipeline's networks cannot learn."""
     try:
         found = named_observation(observation)
     except InputError as error:
@@ -287,7 +287,7 @@ class TrainingSuite(FrozenModel):
         return tuple(road for each in named for road in each.by_road) or (Condition(),)
 
     def places_of(self, stage: Stage | SimulatedDrivers) -> list[tuple[SceneSettings, Traffic]]:
-        """The scenes and traffics in which a stage learns; see `traffic_of`."""
+        """The scenes and traffic models in which a stage learns; see `traffic_of`."""
         found = []
         for each in self.conditions_of(stage):
             traffic = each.traffic or stage.traffic
@@ -296,7 +296,7 @@ class TrainingSuite(FrozenModel):
         return found
 
     def drivers_of(self, stage: Stage | SimulatedDrivers) -> tuple[str, ...]:
-        """The names of all agents in the traffics of a stage; see `traffic_of`."""
+        """The names of all agents in the traffic models of a stage; see `traffic_of`."""
         agents = (traffic.agents for _, traffic in self.places_of(stage))
         named = dict.fromkeys(name for names in agents for name in names)
         return tuple(name for name in named if name != PRESCRIBED)

@@ -56,7 +56,7 @@ _OF_CONFLICTS = 1.0, 3.0, 3.0, 3.0, 3.0, 1.0, 1.0, 3.0
 
 
 def _factors(inputs: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Factors and offsets of so many numbers of an observation."""
+    """Factors and offsets of the first `inputs` numbers of an observation."""
     if inputs <= ROWS * COLUMNS:
         return FACTORS[:inputs], OFFSETS[:inputs]
     conflicts = inputs // len(_OF_EGO) - FIRST_CONFLICT
@@ -84,7 +84,7 @@ def folded(network: Sequential) -> Sequential:
 
 
 def unfolded(network: Sequential) -> Sequential:
-    """The network for standardised observations of which `folded` makes this one.
+    """The network for standardised observations that `folded` turns into this network.
 
     Weights of inputs that standardise to 0 have no effect, and are 0.
     """

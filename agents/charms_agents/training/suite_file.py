@@ -32,7 +32,7 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         document.data |= {"seed": seed, "seeds": []}
     stages = document.data.get("stages")
     for stage in stages.values() if steps is not None and isinstance(stages, dict) else ():
-        if isinstance(stage, dict):  # anything else is refused below
+        if isinstance(stage, dict):  # anything else is rejected below
             stage["steps"] = steps
     suite, placed = document.validate(TrainingSuite), set[tuple[str, str]]()
     for name, stage in suite.stages.items():
@@ -92,7 +92,7 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
 def _check_name(
     document: Document, at: Location, kind: str, name: str, known: Collection[str], under: str = ""
 ) -> None:
-    """Refuses a name that the suite does not have."""
+    """Rejects a name that the suite does not have."""
     if name not in known:
         there = f"this file has: {', '.join(known) or 'none'}"
         raise document.error(at, f"no {kind} named '{name}'{under}; {there}")
@@ -101,7 +101,7 @@ def _check_name(
 def _check_conditions(
     document: Document, suite: TrainingSuite, name: str, placed: set[tuple[str, str]]
 ) -> None:
-    """Refuses other steps of the target speed, and scenarios that cannot be placed.
+    """Rejects other steps of the target speed, and scenarios that cannot be placed.
 
     `placed` has the scenarios and scenes of earlier stages, which are not placed again.
     """
@@ -134,7 +134,7 @@ def _check_conditions(
 
 
 def _applied(document: Document, at: Location, condition: Condition, stage: Stage) -> SceneSettings:
-    """The scene of a condition on the last of its roads; refuses roads that cannot be had."""
+    """The scene of a condition on the last of its roads; rejects roads that do not exist."""
     scene = stage.scene
     for index, each in enumerate(condition.by_road):
         try:
@@ -145,7 +145,7 @@ def _applied(document: Document, at: Location, condition: Condition, stage: Stag
 
 
 def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:
-    """Refuses a stage whose prior cannot regularise it."""
+    """Rejects a stage whose prior cannot regularise it."""
     stage = suite.stages[name]
     at, h = ("stages", name, "prior"), suite.hyperparameters_of(stage)
     _check_name(document, at, "stage", str(stage.prior), suite.human_stages, " under human.stages")
@@ -159,7 +159,7 @@ def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:
 
 
 def _check_simulated(document: Document, suite: TrainingSuite, name: str) -> None:
-    """Refuses a stage that cannot learn from simulated drivers."""
+    """Rejects a stage that cannot learn from simulated drivers."""
     assert suite.human is not None
     if suite.human_stages[name].fine_tunes is not None:
         what = "a stage that fine-tunes learns from recorded drivers; expected no fine_tunes"

@@ -36,7 +36,7 @@ by 4.5 to 1. Black itself would take the colour of the page's text."""
 
 
 def check_figure(path: Path) -> None:
-    """Refuses a file name that no figure can be written to.
+    """Rejects a file name that no figure can be written to.
 
     Raises:
         InputError: The file's ending is not a format's.

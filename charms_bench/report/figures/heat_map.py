@@ -50,7 +50,7 @@ def _is_proportion(metric: str) -> bool:
 
 
 def _colours(metric: str) -> dict[str, Any]:
-    """Options of `heat_map`; proportions are in percent, roots of which tell small ones apart."""
+    """Options of `heat_map`; proportions are in percent, on a root scale for the small ones."""
     colours = WITHOUT_DIRECTION if metric in NO_DIRECTION else COLOURS
     colours += "_r" * (metric in HIGHER_IS_BETTER)
     return {"cmap": colours, "norm": PowerNorm(0.5, 0, 100) if _is_proportion(metric) else None}

@@ -1,4 +1,4 @@
-"""Traffics beside human driving: speeds while following, headways at lane changes."""
+"""Traffic models and human driving: speeds while following, headways at lane changes."""
 
 from collections.abc import Mapping, Sequence
 
@@ -39,7 +39,7 @@ def draw_quantity(
             panel.plot(edges[:-1] + width / 2, line, label=traffic.traffic, **series(k))
         panel.set_title(f"{name}: {counts.sum():,.0f} counted", fontsize=10)
         panel.set(xlabel=unit, xlim=(edges[used[0]], edges[used[-1] + 1]))
-        # On a linear scale, the peak of a traffic that drives at one speed hides the people.
+        # On a linear scale, the peak of traffic at one speed would hide the human drivers.
         panel.set_yscale("function", functions=(np.sqrt, np.square))
         panel.set_ylim(0, 1.05 * np.max([*areas, *lines]))
     axes[0].set_ylabel(f"proportion of vehicles per {unit}\n(square-root scale)")

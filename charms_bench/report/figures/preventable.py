@@ -42,8 +42,8 @@ def survivors(suite: Suite) -> str:
 def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
     """Egos down, scenarios across, each over the first two parameters of its scenario.
 
-    Green fields: the share of episodes that the reference driver survives, or the mean of the
-    shares of two. None without scenarios of two parameters.
+    Green fields: the proportion of episodes that the reference driver survives, or the mean of
+    the proportions of two. None without scenarios of two parameters.
     """
     points = {}
     episodes = {cell.traffic: cell.episodes["episode"] for cell in cells}

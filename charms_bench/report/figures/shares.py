@@ -1,4 +1,4 @@
-"""The shares of the agents in a traffic, as a figure."""
+"""The proportions of the agents in a traffic model, as a figure."""
 
 from collections.abc import Mapping
 
@@ -8,7 +8,7 @@ from charms_bench.report.figures.drawing import SERIES, panels
 
 
 def draw(found: Mapping[str, float], title: str) -> Figure:
-    """Draws shares as bars."""
+    """Draws the proportions as bars."""
     figure, (axes,) = panels(1, 6.4, 0.9 + 0.32 * len(found))
     bars = axes.barh(list(found), list(found.values()), color=SERIES[0])
     axes.bar_label(bars, [f"{share:z.1%}" for share in found.values()], padding=3)

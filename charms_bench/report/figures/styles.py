@@ -1,4 +1,4 @@
-"""How much the egos of a run differ: where each stands, and which pairs can be told apart."""
+"""How much the egos of a run differ: the place of each, and the pairs that are distinct."""
 
 import numpy as np
 from matplotlib.figure import Figure

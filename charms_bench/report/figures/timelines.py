@@ -15,7 +15,7 @@ from charms_bench.world.thresholds import CONFLICT_TTC_S
 GAP_SHOWN_M, TTC_SHOWN_S = 60.0, 10.0
 """Larger values lie above the upper edge."""
 LEFT, RIGHT = 0.085, 0.975
-"""Where time begins and ends, as shares of the figure's width."""
+"""Where time begins and ends, as fractions of the figure's width."""
 FADED = {"alpha": 0.45, "linewidth": 2.4}
 """How the other future is drawn, as its vehicles are."""
 

@@ -1,4 +1,4 @@
-"""The trade-off figure: speed against crashes, or density of a traffic against its crashes."""
+"""The trade-off figure: speed against crashes, or density of the traffic against its crashes."""
 
 from collections.abc import Sequence
 from itertools import count
@@ -25,7 +25,7 @@ from charms_bench.runs.suite import Suite
 
 TICKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 FINE_TICKS = (0.001, 0.002, 0.005)
-"""More ticks where all shares are small."""
+"""More ticks where all proportions are small."""
 BACKGROUND = {"facecolor": PAPER, "alpha": 0.7, "edgecolor": "none", "pad": 0.5}
 """Keeps names legible where they lie on points."""
 
@@ -36,12 +36,12 @@ class Tradeoff(NamedTuple):
     across: str
     across_label: str
     share: str
-    """A metric that is a share, drawn upwards."""
+    """A proportion, drawn upwards."""
     share_label: str
     named: int
     """The label that points carry: 0 for the agent, 1 for the traffic; the other one colours."""
     part: str = ""
-    """A part of the share, drawn as a hollow point below it."""
+    """A part of the proportion, drawn as a hollow point below it."""
 
 
 OF_EGOS = Tradeoff(
@@ -62,7 +62,7 @@ OF_TRAFFICS = Tradeoff(
 
 
 def tradeoff_of(suite: Suite) -> Tradeoff:
-    """What suits the suite: egos, or the traffics of one ego."""
+    """The trade-off that suits the suite: of egos, or of one ego's traffic models."""
     return OF_EGOS if len(suite.egos) > 1 else OF_TRAFFICS
 
 

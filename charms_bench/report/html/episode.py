@@ -11,7 +11,7 @@ from charms_bench.report.html.packed import pack
 from charms_bench.report.html.svg import in_page
 
 BEFORE_S = 3.0
-"""A replay opens so long before its critical moment."""
+"""A replay opens this long before its critical moment."""
 
 
 def for_page(

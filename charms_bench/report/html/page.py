@@ -21,7 +21,7 @@ SCRIPTS = ("tables.js", "player.js", "controls.js")
 
 
 def check_page(path: Path) -> None:
-    """Refuses a file name that is not a page's.
+    """Rejects a file name that is not a page's.
 
     Raises:
         InputError: The name does not end in `.html`.
@@ -42,8 +42,8 @@ def render(
 ) -> str:
     """The page; names are text, whatever they look like.
 
-    Replays are from `for_page`, the first `named` of them asked for; those `beside`, by name, are
-    for the player only. A report has the provenance of each run; other pages have none.
+    Replays are from `for_page`; the first `named` of them were asked for. The replays in `beside`,
+    by name, are only for the player. A report has the provenance of each run; no other page has.
     """
     tables = [table for section in sections for table in (*section.tables, *section.more)]
     ids = definition_ids(column for table in tables for column in table.columns)
