@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from charms_bench.api.arguments import PathLike, asked, check_positive
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, ScenarioError
-from charms_bench.report.progress import progress
+from charms_bench.foundation.progress import progress
 from charms_bench.runs.manifest import opened_for_suite
 from charms_bench.runs.shard import forget_agents
 from charms_bench.runs.suite import Cell

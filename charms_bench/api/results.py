@@ -14,8 +14,8 @@ from charms_bench.api.auditing import audit
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute
+from charms_bench.foundation.progress import progress
 from charms_bench.foundation.words import counted
-from charms_bench.report.progress import progress
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import FinishedRun, open_finished
 from charms_bench.runs.lock import locked
