@@ -116,8 +116,6 @@ class Run:
 
         cells, first = self.suite.cells, dict[str, int]()
         for index, cell in enumerate(cells):
-            if cell.scene.network is not None:
-                continue  # whose lanes differ from place to place
             if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title):
                 first.setdefault(cell.ego.title, index)
         found = []
@@ -126,7 +124,8 @@ class Run:
             steps, cell = (steps for _, steps in islice(rows.parts, 1)), cells[index]
             identity = self.manifest.get("agents", {}).get(cell.ego.agent.origin, {})
             actions = actions_described(identity.get("actions", "meta"))
-            if said := missing_lanes(steps, cell.scene.lanes, actions).remark():
+            lanes = cell.scene.lanes if cell.road is None else None
+            if said := missing_lanes(steps, lanes, actions).remark():
                 found.append(f"{name} in {rows.traffic}: {said}")
         return [*found, MEANING] if found else []
 
