@@ -7,7 +7,7 @@ from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import absolute
-from charms_bench.report.progress import note, progress
+from charms_bench.foundation.progress import note, progress
 from charms_bench.runs.resumable_folder import MANIFEST
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import polars as pl
 
 from charms_bench.api.arguments import PathLike, asked, check_positive
 from charms_bench.api.warming import note_roads, warm_up
-from charms_bench.report.progress import note, progress
+from charms_bench.foundation.progress import note, progress
 from charms_bench.runs.lock import locked
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def rare(
     not in the estimate, and independent runs.
 
     Args:
-        suite: The YAML file. Its number of episodes does not matter.
+        suite: The YAML file; `episodes` can be left out, because their number does not matter.
         event: `crash`, `ttc:below_s=1.0`, or an event of a plugin.
         output: The folder; by default `runs/NAME-rare-EVENT`, followed by the `agents`.
         agents: Installed agents or paths of networks that drive the ego besides the suite's egos.
@@ -82,7 +82,7 @@ def rare(
 
     check_positive(workers=workers)
     kind = f"-rare-{event.partition(':')[0]}"
-    document, loaded, name, folder = asked(suite, output, agents, kind, seed=seed)
+    document, loaded, name, folder = asked(suite, output, agents, kind, seed=seed, episodes=1)
     definition = event_of(event).definition
     if loaded.scene.recording is not None:
         what = "rare draws where vehicles start, and recordings place them; remove it"

@@ -14,8 +14,8 @@ from charms_bench.api.auditing import audit
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute
+from charms_bench.foundation.progress import progress
 from charms_bench.foundation.words import counted
-from charms_bench.report.progress import progress
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import FinishedRun, open_finished
 from charms_bench.runs.lock import locked
@@ -116,8 +116,6 @@ class Run:
 
         cells, first = self.suite.cells, dict[str, int]()
         for index, cell in enumerate(cells):
-            if cell.scene.network is not None:
-                continue  # whose lanes differ from place to place
             if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title):
                 first.setdefault(cell.ego.title, index)
         found = []
@@ -126,7 +124,8 @@ class Run:
             steps, cell = (steps for _, steps in islice(rows.parts, 1)), cells[index]
             identity = self.manifest.get("agents", {}).get(cell.ego.agent.origin, {})
             actions = actions_described(identity.get("actions", "meta"))
-            if said := missing_lanes(steps, cell.scene.lanes, actions).remark():
+            lanes = cell.scene.lanes if cell.road is None else None
+            if said := missing_lanes(steps, lanes, actions).remark():
                 found.append(f"{name} in {rows.traffic}: {said}")
         return [*found, MEANING] if found else []
 

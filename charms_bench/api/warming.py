@@ -2,7 +2,13 @@
 
 from typing import TYPE_CHECKING
 
-from charms_bench.report.progress import note, progress
+from charms_bench.foundation.progress import (
+    ENGINE,
+    ENGINE_OF_ROADS,
+    note,
+    note_compiling,
+    progress,
+)
 
 if TYPE_CHECKING:
     from charms_bench.runs.suite import Suite
@@ -18,7 +24,7 @@ def warm_up() -> bool:
 
     if engine.is_warm():
         return False
-    note("compiling the engine (once, about half a minute)")
+    note(f"compiling {ENGINE}")
     with progress("parts", len(engine.PARTS)) as tell:
         engine.compile_parts(tell)
     return True
@@ -27,8 +33,6 @@ def warm_up() -> bool:
 def note_roads(suite: "Suite") -> None:
     """Says that a suite's first run on highway-env's roads compiles, if it does."""
     if suite.roads:
-        from charms_bench.foundation.compiled import is_kept
         from charms_bench.roads.engine import advance
 
-        if not is_kept(advance):
-            note("compiling the engine of highway-env's roads (once, one or two minutes)")
+        note_compiling(advance, ENGINE_OF_ROADS)

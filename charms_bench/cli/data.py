@@ -34,11 +34,11 @@ from charms_bench.foundation.words import counted
 @app.command(rich_help_panel=DATA)
 def data(recordings: Recordings, figure: FigurePath = None, as_json: Json = False) -> None:
     """Summarise recordings of human driving."""
+    from charms_bench.foundation.progress import progress
     from charms_bench.people.survey import OFF_CENTRE_M, survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.recordings import draw
-    from charms_bench.report.progress import progress
     from charms_bench.world.recording_folder import find_trios
 
     folder = absolute(recordings)
@@ -157,13 +157,13 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Fit drivers to recordings, and predict held-out drivers."""
+    from charms_bench.foundation.progress import note
     from charms_bench.people.calibrated import calibrate as calibrated
     from charms_bench.people.held_out import HORIZONS_S
     from charms_bench.people.lane_choices import FEWEST_CHANGES, fit_choices, read_choices
     from charms_bench.people.trips import read_trips
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.predictive import draw
-    from charms_bench.report.progress import note
 
     recordings = absolute(recordings)
     if to is not None and (to.suffix != ".json" or to.exists()):
@@ -233,11 +233,11 @@ def likeness(
     as_json: Json = False,
 ) -> None:
     """Score how much egos and traffic drive like recorded drivers."""
+    from charms_bench.foundation.progress import note
     from charms_bench.people.population import read_population
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.likeness import draw
     from charms_bench.report.likeness_table import likeness_tables
-    from charms_bench.report.progress import note
     from charms_bench.runs.likeness import likeness as scored
     from charms_bench.runs.likeness import likeness_of_controls, standard
     from charms_bench.runs.suite import load_suite

@@ -56,7 +56,7 @@ def verify(
 
     Both use the same elementary functions. The exit code is 1 if the engines differ.
     """
-    from charms_bench.report.progress import progress
+    from charms_bench.foundation.progress import progress
     from charms_bench.runs.document import Document
     from charms_bench.runs.suite import check_networks, suite_of
     from charms_bench.testing import verify as verification
@@ -115,7 +115,7 @@ def _verify_roads(
     as_json: bool,
 ) -> NoReturn:
     """Compares roads, given by their titles, highway-env's names and configurations."""
-    from charms_bench.report.progress import progress
+    from charms_bench.foundation.progress import progress
     from charms_bench.testing.road_parity import MOST_DECISIONS, verify_road
 
     decisions = 0 if starts else MOST_DECISIONS

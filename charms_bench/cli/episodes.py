@@ -282,14 +282,19 @@ def what_if(
 
 @app.command(rich_help_panel=FAILURES)
 def search(
-    suite: Path = typer.Argument(metavar="SUITE", help="YAML file with a scenario."),
+    suite: Path = typer.Argument(
+        metavar="SUITE", help="YAML file with a scenario, or with a road that has `parameters`."
+    ),
     agent: str | None = typer.Option(
         None, help="Installed agent, or ONNX file of a network, instead of --ego."
     ),
     ego: str | None = typer.Option(
         None, help="Label of an ego of the suite, or an installed agent."
     ),
-    traffic: str | None = typer.Option(None, help="Label of the scenario."),
+    traffic: str | None = typer.Option(
+        None, help="Label of the scenario, or of the traffic model on the road."
+    ),
+    road: RoadLabel = None,
     failures: int = typer.Option(10, min=1, help="Number of failures after which the search ends."),
     budget: int = typer.Option(5000, min=1, help="Number of episodes after which the search ends."),
     seed: int = typer.Option(0, min=0, help="Seed of the search."),
@@ -298,7 +303,7 @@ def search(
     ),
     as_json: Json = False,
 ) -> None:
-    """Search a scenario for failures of an agent.
+    """Search the parameters of a scenario or of a road for failures of an agent.
 
     A failure is a collision that a driver named by `preventable_by` avoids in the same scenario.
     The folder has them as a suite, `found.yaml`. An interrupted search continues.
@@ -311,6 +316,7 @@ def search(
             ego,
             traffic,
             output,
+            road=road,
             agent=agent,
             failures=failures,
             budget=budget,
@@ -333,7 +339,7 @@ def search(
         f"{where}: {counted(len(made.failures), 'failure')} in {episodes}, the first in the "
         f"batch that ended after {made.simulations_to_first:,}"
     )
-    forms = dict.fromkeys(made.failures[0], ".3f")
+    forms = dict.fromkeys(made.failures[0], ".5g")
     records: list[dict[str, Any]] = [
         {"failure": str(k), **point} for k, point in enumerate(made.failures)
     ]

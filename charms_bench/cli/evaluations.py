@@ -198,7 +198,7 @@ def show(
 ) -> None:
     """Print the tables of a run, with 95 % intervals drawn to scale."""
     from charms_bench.episodes.search import MANIFEST as SEARCH
-    from charms_bench.report.progress import note
+    from charms_bench.foundation.progress import note
     from charms_bench.report.stored import holds, stored_tables
     from charms_bench.report.suite_table import printed
     from charms_bench.report.terminal import drawn
@@ -265,7 +265,7 @@ def _print_search(folder: Path, as_json: bool) -> None:
         say(f"{folder}: no failure")
         return
     records = [{"failure": str(k), **point} for k, point in enumerate(points)]
-    print_records("failure", records, dict.fromkeys(points[0], ".3f"))
+    print_records("failure", records, dict.fromkeys(points[0], ".5g"))
     say(f"Run them with `charms-bench run {shown(path)}`")
 
 

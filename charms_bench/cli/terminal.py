@@ -340,6 +340,6 @@ def as_word(path: Path) -> str:
 
 def say(text: str, console: "Console | None" = None) -> None:
     """Prints text as it is: without markup, highlighting or line breaks of its own."""
-    from charms_bench.report.progress import printable
+    from charms_bench.foundation.progress import printable
 
     (console or out()).print(printable(text), highlight=False, soft_wrap=True)

@@ -126,30 +126,42 @@ def contact(
 
 
 @compiled
-def closest_on_network(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
-    """As `closest`, among vehicles of any direction.
+def beside(
+    scene: Scene, speed: Floats, b: int, i: int, j: int
+) -> tuple[float, float, float, float, float, float]:
+    """How far vehicle j is ahead of vehicle i and beside it, m, and its relative velocity, m/s.
 
-    Each keeps its velocity, and another vehicle is the rectangle along the ego that contains it.
+    The last two numbers are the sums of the lengths and of the widths, m, where vehicle j is the
+    rectangle along vehicle i that contains it. `speed` [B, N] is that of the vehicles.
     """
+    cos, sin = scene.direction_x[b, i], scene.direction_y[b, i]
+    dx, dy = scene.x[b, j] - scene.x[b, i], scene.y[b, j] - scene.y[b, i]
+    own_x, own_y = scene.direction_x[b, j], scene.direction_y[b, j]
+    forward, sideward = own_x * cos + own_y * sin, own_y * cos - own_x * sin
+    long, wide = scene.length[b, j], scene.width[b, j]
+    return (
+        dx * cos + dy * sin,
+        dy * cos - dx * sin,
+        speed[b, j] * forward - speed[b, i],
+        speed[b, j] * sideward,
+        scene.length[b, i] + long * abs(forward) + wide * abs(sideward),
+        scene.width[b, i] + long * abs(sideward) + wide * abs(forward),
+    )
+
+
+@compiled
+def closest_on_network(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
+    """As `closest`, among vehicles of any direction, seen from `beside` the ego."""
     times = np.full(rows.size, HORIZON_S)
     inverse_decelerations = np.full(rows.size, HARMLESS_S2_PER_M)
     for r in range(rows.size):
         b = rows[r]
         ego = scene.ego[b]
-        cos, sin, speed = scene.direction_x[b, ego], scene.direction_y[b, ego], scene.speed[b, ego]
         for i in range(scene.x.shape[1]):
             if i == ego or not scene.present[b, i]:
                 continue
-            dx, dy = scene.x[b, i] - scene.x[b, ego], scene.y[b, i] - scene.y[b, ego]
-            own_x, own_y = scene.direction_x[b, i], scene.direction_y[b, i]
-            with_ego, across_ego = own_x * cos + own_y * sin, own_y * cos - own_x * sin
-            along, across = scene.speed[b, i] * with_ego - speed, scene.speed[b, i] * across_ego
-            long, wide = scene.length[b, i], scene.width[b, i]
-            length = scene.length[b, ego] + long * abs(with_ego) + wide * abs(across_ego)
-            width = scene.width[b, ego] + long * abs(across_ego) + wide * abs(with_ego)
-            time, closing = contact(
-                dx * cos + dy * sin, along, length / 2, dy * cos - dx * sin, across, width / 2
-            )
+            ahead, aside, along, across, length, width = beside(scene, scene.speed, b, ego, i)
+            time, closing = contact(ahead, along, length / 2, aside, across, width / 2)
             times[r] = min(times[r], time)
             if 2 * time < inverse_decelerations[r] * closing:
                 inverse_decelerations[r] = 2 * time / closing

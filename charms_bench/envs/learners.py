@@ -14,10 +14,12 @@ from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION
 from charms_bench.engine.endings import GOAL, OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, are_off_road
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
+from charms_bench.engine.stepping import advance
 from charms_bench.envs import ID
 from charms_bench.envs.given_actions import GivenActions, GivenLike
 from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError, ScenarioError
+from charms_bench.foundation.progress import ENGINE, ENGINE_OF_ROADS, note_compiling
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
 from charms_bench.world.action_mask import ActionMasks, action_masks
@@ -317,14 +319,16 @@ class FromOutside(Traffic):
 def _engine_of(
     settings: SceneSettings, agents: Mapping[str, Agent], title: str
 ) -> EngineName | MakeEngine:
-    """The engine of the straight road, or that of a road.
+    """The engine of the straight road, or that of a road; says so if it has to be compiled.
 
     Raises:
         InputError: An agent cannot drive on the road.
     """
     if settings.network is None:
+        note_compiling(advance, ENGINE)
         return "batched"
     from charms_bench.roads.engine import RoadEngine
+    from charms_bench.roads.engine import advance as advance_on_road
     from charms_bench.roads.settings import problem_of_driver  # slow to import
 
     for name, agent in agents.items():
@@ -332,6 +336,7 @@ def _engine_of(
             raise InputError(
                 f"{title}: agent '{name}' cannot drive on the road '{settings.network}': {what}"
             )
+    note_compiling(advance_on_road, ENGINE_OF_ROADS)
     return RoadEngine
 
 

@@ -28,12 +28,14 @@ from charms_bench.envs.seeds import random_seeds
 from charms_bench.envs.spaces import trained_in
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.progress import ENGINE_OF_ROADS, note_compiling
 from charms_bench.roads.available_actions import available_actions
 from charms_bench.roads.configuration import MetaActions
 from charms_bench.roads.controls import Controls
 from charms_bench.roads.episodes import Decision, EpisodesState
 from charms_bench.roads.episodes import Episodes as RoadScenes
 from charms_bench.roads.parking import Parking
+from charms_bench.roads.stepping import decide
 
 RoadReward = Callable[[NDArray[np.void], Mapping[str, Floats]], Floats]
 """A custom reward (B,) after a decision, or (B, agents) where there are several agents. It is
@@ -81,6 +83,7 @@ class RoadEpisodes(Episodes):
             self.inner = RoadScenes(self.title, self.scenes, config)
         except InputError as error:
             raise InputError(f"{self.title}: {error}") from error
+        note_compiling(decide, ENGINE_OF_ROADS)
         inner = self.inner
         self.decision_hz = inner.config["policy_frequency"]
         self.spaces = spaces_of(inner)

@@ -12,21 +12,26 @@ from charms_bench.episodes.search import FOUND, Search
 from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.document import Document
-from charms_bench.runs.suite import load_suite
+from charms_bench.runs.suite import Suite, load_suite
+from charms_bench.runs.suite_roads import RoadEntry
 
 
-def write_found(search: Search, document: Document, traffic: int, path: Path) -> None:
-    """Writes a suite whose episodes are the failures, driven by all drivers of the search.
+def write_found(search: Search, document: Document, suite: Suite, path: Path) -> None:
+    """Writes a suite whose episodes, or roads, are the failures, driven by all of their drivers.
 
-    The scene, and the scenario at this index among the traffic models, are those of the document.
+    Its scene, and what has been searched, are those of the suite's document.
     """
-    entry = deepcopy(document.data["traffic_models"][traffic])
-    entry["traffic"]["scenario"]["points"] = search.failures
+    cell, found = search.cell, _roads(search, document, suite)
+    if traffics := document.data.get("traffic_models"):
+        entry = deepcopy(traffics[suite.traffics.index(cell.traffic)])
+        if cell.road is None:
+            entry["traffic"]["scenario"]["points"] = search.failures
+        found["traffic_models"] = [entry]
     egos = [search.cell.ego, *search.references]
-    suite: dict[str, Any] = {
+    written: dict[str, Any] = {
         "suite": path.stem,
         "title": f"Failures of {search.cell.title}",
-        "episodes": len(search.failures),
+        "episodes": len(search.failures) if cell.road is None else suite.episodes,
         "scene": document.data.get("scene", {}),
         "egos": [
             {
@@ -35,16 +40,33 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
             }
             for each in egos
         ],
-        "traffic_models": [entry],
+        **found,
         "columns": document.data.get("columns", []),
     }
     if "warm_up_s" in document.data:
-        suite["warm_up_s"] = document.data["warm_up_s"]
+        written["warm_up_s"] = document.data["warm_up_s"]
     if search.references:
-        suite["preventable_by"] = [each.title for each in search.references]
-    moved = _moved(suite, document.folder, path.parent)
+        written["preventable_by"] = [each.title for each in search.references]
+    moved = _moved(written, document.folder, path.parent)
     text = yaml.safe_dump(moved, sort_keys=False, allow_unicode=True, width=100)
     write_bytes(path, text.encode())
+
+
+def _roads(search: Search, document: Document, suite: Suite) -> dict[str, Any]:
+    """The road with each failure in its configuration, and the seeds; empty for a scenario."""
+    road = search.cell.road
+    if road is None:
+        return {}
+    entry = deepcopy(document.data["roads"][suite.roads.index(road)])
+    if road.file is not None:
+        entry["file"] = os.path.relpath(road.file, search.path)
+    return {
+        "seed": suite.seed,
+        "roads": [
+            {**entry, "configuration": road.at(point).configuration, "label": f"{road.title} {k}"}
+            for k, point in enumerate(search.failures)
+        ],
+    }
 
 
 def found_in(folder: Path) -> tuple[Mapping[str, float], ...]:
@@ -54,10 +76,20 @@ def found_in(folder: Path) -> tuple[Mapping[str, float], ...]:
         CharmsBenchError: The suite cannot be used.
     """
     path = folder / FOUND
-    traffics = load_suite(path).traffics if path.exists() else ()
-    scenarios = (entry.traffic.scenario for entry in traffics)
+    if not path.exists():
+        return ()
+    suite = load_suite(path)
+    if suite.roads:
+        return tuple({name: _value(each, name) for name in each.parameters} for each in suite.roads)
+    scenarios = (entry.traffic.scenario for entry in suite.traffics)
     points: Any = next((each.points for each in scenarios if each is not None), ())
     return tuple(points)
+
+
+def _value(road: RoadEntry, name: str) -> float:
+    """The value of a parameter in a road's configuration."""
+    value: Any = (road.configuration or {})[name]
+    return float(value)
 
 
 def _moved(value: Any, old: Path, new: Path) -> Any:

@@ -1,4 +1,4 @@
-"""Searches the parameters of a scenario for failures of an agent, by differential evolution.
+"""Searches the parameters of a scenario or of a road for failures, by differential evolution.
 
 A failure is a preventable collision: the agent collides, and a reference driver of the suite does
 not. The search minimises the agent's margin to a collision (`severity`); where it collides, the
@@ -6,6 +6,8 @@ larger one of its margin and the negative of the reference drivers' largest marg
 in a failure only. So the reference drivers are simulated only where the agent collides.
 
 A point at which prescribed vehicles collide with one another is no scenario: it is left out.
+On a road, a point is a configuration, in which all episodes of the suite are simulated: it is as
+good as the best of them, and a failure if one of them is.
 
 Agents that draw their actions, the ego, other vehicles or reference drivers, draw others in each
 episode. So a failure is noted only if it is one in the episode of the suite of failures, too.
@@ -14,7 +16,7 @@ The margins of all points that are simulated together are kept in a file. A sear
 interrupted is done again from its beginning, with these margins instead of simulations.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
@@ -32,11 +34,11 @@ from charms_bench.plugins.registry import AGENTS, is_network, plugins
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.runs.checked_result import read_result, write_result
 from charms_bench.runs.code_hashes import harness_sha256
-from charms_bench.runs.shard import CellTask, installed
-from charms_bench.runs.suite import Cell, EgoEntry, Suite
+from charms_bench.runs.shard import CellTask, engine_on, installed
+from charms_bench.runs.suite import Cell, EgoEntry, Suite, Surroundings
 from charms_bench.world.points import from_shares, sobol
-from charms_bench.world.scenario import Scenario
-from charms_bench.world.scene import Floats, SceneSettings
+from charms_bench.world.scenario import Parameter, Scenario
+from charms_bench.world.scene import Floats, Ints, SceneSettings
 
 FIRST_POINTS = 32
 """Sobol points that every start of the search simulates. Chosen, like the other numbers and the
@@ -56,15 +58,18 @@ _MARGINS = TypeAdapter(list[float])
 
 @dataclass
 class Search:
-    """The failures of an agent in a scenario, and how many episodes it took to find them."""
+    """The failures of an agent, and how many episodes it took to find them."""
 
     cell: Cell
+    """On a road, its scene is that of the suite, whatever the road."""
     references: Sequence[EgoEntry]
     """The drivers that decide which collisions are preventable; if there are none, all are."""
     folder: Path
     """Folder that relative paths of networks start from."""
     path: Path | None = None
     """Folder of the search; if there is none, the margins are not kept."""
+    seeds: Ints = field(default_factory=lambda: np.zeros(1, dtype=np.int64))
+    """Those of the episodes of a road; a scenario has one episode at each point."""
     failures: list[Point] = field(default_factory=list)
     preventable_by: list[list[str]] = field(default_factory=list)
     """The titles of the reference drivers that avoid each failure."""
@@ -88,7 +93,7 @@ class Search:
         """Searches until there are so many failures, or so many episodes have been simulated."""
         from scipy.optimize import differential_evolution
 
-        dimensions = len(self._scenario.parameters)
+        dimensions = len(self._parameters)
 
         def is_over(*_: object) -> bool:
             return len(self.failures) >= failures or self.simulations >= budget
@@ -119,18 +124,16 @@ class Search:
 
     def values(self, shares: Floats) -> Floats:
         """Returns what the search minimises at points (R, P) of the unit cube; notes failures."""
-        values = from_shares(self._scenario.parameters, shares)
-        points = [
-            {name: float(each[r]) for name, each in values.items()} for r in range(len(shares))
-        ]
+        points = self._points_at(shares)
         found = self._margins_of_scenarios(points)
-        collides = np.nonzero(found < 0)[0]
+        collides = np.nonzero((found < 0).any(axis=1))[0]
         avoided_by: list[list[str]] = [[] for _ in collides]
         if collides.size and self.references:
-            asked = [points[k] for k in collides]
+            asked, own = [points[k] for k in collides], found[collides]
             theirs = np.array([self._margins(each.agent, asked) for each in self.references])
-            found[collides] = np.maximum(found[collides], -theirs.max(axis=0))
-            for k, each in zip(*np.nonzero(theirs.T >= 0), strict=True):
+            found[collides] = np.where(own < 0, np.maximum(own, -theirs.max(axis=0)), own)
+            avoids = ((own < 0) & (theirs >= 0)).any(axis=2)
+            for k, each in zip(*np.nonzero(avoids.T), strict=True):
                 avoided_by[k].append(self.references[each].title)
         # Each generation begins with points that were simulated before.
         new = [
@@ -146,12 +149,25 @@ class Search:
                 self.simulations_to_first = self.simulations_to_first or self.simulations
         if new and self.failures:
             self.found()
-        return found
+        return np.asarray(found.min(axis=1))
+
+    def _points_at(self, shares: Floats) -> list[Point]:
+        values = from_shares(self._parameters, shares)
+        points = [
+            {name: float(each[r]) for name, each in values.items()} for r in range(len(shares))
+        ]
+        if self.cell.road is None:
+            return points
+        from charms_bench.roads.configuration import whole  # which scenarios do not need
+
+        return [whole(point) for point in points]
 
     def _margins_of_scenarios(self, points: list[Point]) -> Floats:
-        """The ego's margins at points; infinite where prescribed vehicles collide."""
+        """The ego's margins, as `_margins`; infinite where prescribed vehicles collide."""
+        if self.cell.road is not None:
+            return self._margins(self.cell.ego.agent, points)
         is_pile_up = pile_ups(self._settings_of(points), np.arange(len(points)))
-        found = np.full(len(points), np.inf)
+        found = np.full((len(points), 1), np.inf)
         asked = [points[k] for k in np.nonzero(~is_pile_up)[0]]
         if asked:
             found[~is_pile_up] = self._margins(self.cell.ego.agent, asked)
@@ -167,13 +183,28 @@ class Search:
         assert scenario is not None
         return scenario
 
+    @property
+    def _parameters(self) -> Mapping[str, Parameter]:
+        road = self.cell.road
+        return self._scenario.parameters if road is None else road.parameters
+
     def _settings_of(self, points: Sequence[Point]) -> SceneSettings:
+        if (road := self.cell.road) is not None:
+            from charms_bench.roads.settings import on_road  # slow to import
+
+            (point,) = points
+            return on_road(self.cell.scene, road.at(point).road, road.duration_s)
         scenario = self._scenario.model_copy(update={"points": tuple(points)})
         return self.cell.scene.of_scenario(scenario)
 
     @cached_property
     def _draws(self) -> bool:
-        """Whether the ego, another vehicle of the scenario or a reference driver draws."""
+        """Whether the ego, another vehicle of the scenario or a reference driver draws.
+
+        If so, a point has other draws as an episode of the suite of failures, but on a road.
+        """
+        if self.cell.road is not None:
+            return False
         traffic = self.cell.traffic.traffic.make()
         egos = [self.cell.ego.agent, *(each.agent for each in self.references)]
         return any(
@@ -185,25 +216,29 @@ class Search:
     def _avoided_again(self, point: Point) -> list[str] | None:
         """Who avoids this point's episode of the suite of failures; None if it is no failure."""
         episode = len(self.failures)
-        if self._margins(self.cell.ego.agent, [point], episode)[0] >= 0:
+        if self._margins(self.cell.ego.agent, [point], episode)[0, 0] >= 0:
             return None
         avoided = [
             each.title
             for each in self.references
-            if self._margins(each.agent, [point], episode)[0] >= 0
+            if self._margins(each.agent, [point], episode)[0, 0] >= 0
         ]
         return avoided if avoided or not self.references else None
 
     def _margins(self, agent: AgentSpec, points: list[Point], first: int = 0) -> Floats:
-        """The margins at points, which are those of the episodes from `first` on."""
+        """The margins [R, E] at points, those of a scenario in the episodes from `first` on."""
         cell = self.cell
+        if cell.road is not None and len(points) > 1:
+            return np.concatenate([self._margins(agent, [point]) for point in points])
+        seeds = self.seeds if cell.road is not None else first + np.arange(len(points))
         traffic = cell.traffic.traffic.make()
         networks = networks_of(agent, traffic, self.folder)
         agents = {each.key: each.make(networks) for each in drivers_of(agent, traffic)}
         settings = self._settings_of((*points[:1] * first, *points))
         file = None
         if self.path is not None:
-            software = installed(agent, cell.traffic.traffic, networks)
+            on_network = cell.road is not None
+            software = installed(agent, cell.traffic.traffic, networks, on_network)
             task = CellTask(
                 title=cell.title,
                 scene=settings,
@@ -214,14 +249,47 @@ class Search:
             )
             file = self.path / "runs" / f"{self.simulations:08d}-{task.key[:16]}.json"
         found = None if file is None else read_result(file, _MARGINS)
-        if found is None or len(found) != len(points):
-            simulation = Simulation(settings, len(points), agent.key, traffic, agents)
-            found = margins(simulation, first + np.arange(len(points))).tolist()
+        if found is None or len(found) != seeds.size:
+            engine = engine_on(settings)
+            simulation = Simulation(settings, seeds.size, agent.key, traffic, agents, engine)
+            found = margins(simulation, seeds).tolist()
             if file is not None:
                 write_result(file, found)
-        self.simulations += len(points)
-        self.told(len(points))
-        return np.array(found)
+        self.simulations += seeds.size
+        self.told(seeds.size)
+        return np.array(found).reshape(len(points), -1)
+
+
+def surroundings_of(
+    path: Path, suite: Suite, road: str | None, traffic: str | None
+) -> Surroundings:
+    """A suite's scenario, or its road with parameters and a traffic model; None is the only one.
+
+    Raises an `InputError`.
+    """
+    if not suite.roads:
+        return Surroundings(None, suite.traffics[scenario_of(path, suite, traffic)])
+    roads = {each.title: each for each in suite.roads if each.parameters}
+    if not roads:
+        what = "no road has `parameters` to search; give one of them, such as"
+        raise InputError(f"{path}: {what} {{vehicles_count: [3, 12]}}, the range of a number")
+    traffics = {each.title: each for each in suite.traffics}
+    return Surroundings(
+        roads[_chosen(path, "road", roads, road)],
+        traffics[_chosen(path, "traffic", traffics, traffic)],
+    )
+
+
+def _chosen(path: Path, option: str, known: Mapping[str, object], title: str | None) -> str:
+    """The title, or the only one; raises an `InputError`."""
+    title = next(iter(known)) if title is None and len(known) == 1 else title
+    if title is None:
+        what = f"{len(known)} that can be searched; choose one with --{option}"
+        raise InputError(f"{path}: {what}. {suggestion('', known)}")
+    if title not in known:
+        what = f"--{option}: none called '{title}' can be searched"
+        raise InputError(f"{path}: {what}. {suggestion(title, known)}")
+    return title
 
 
 def scenario_of(path: Path, suite: Suite, title: str | None) -> int:

@@ -17,6 +17,10 @@ from charms_bench.recording.lane_changes import ATTEMPT_DECISIONS, is_given_up, 
 from charms_bench.recording.primitives import NOBODY, VEHICLE
 from charms_bench.world.moments import moments_of
 
+CLOSE_M = 1.0
+"""A vehicle this close is worth a word: those in the middle of neighbouring lanes of 4 m are 2 m
+apart."""
+
 
 @dataclass(frozen=True)
 class AbandonedChange:
@@ -138,14 +142,43 @@ def _near_miss(replay: Replay, since: int) -> tuple[str, int | None]:
     rows = join_rows(replay.episodes, replay.steps, replay.settings)
     rows = rows.filter(pl.col("step") >= since)
     if rows["ttc_s"].is_null().all():
+        distance, other, frame = _nearest(replay, since)
+        if distance < CLOSE_M:
+            return f"passed vehicle {other} at a distance of {distance:z.1f} m", frame
         return "never closed in on a vehicle", None
     row = rows.row(int(rows["ttc_s"].arg_min() or 0), named=True)
     frame = replay.frame_of(row["step"])
+    distance, other, _ = _nearest(replay, since)
+    passed = f"; passed vehicle {other} at a distance of {distance:z.1f} m" * (distance < CLOSE_M)
     return (
         f"TTC {row['ttc_s']:z.1f} s behind vehicle {ego_view(replay).leader[frame]}, "
         f"{_faster(row['speed'] - row['leader_speed'])} than it and {row['gap_m']:z.1f} m away "
-        f"(DRAC {row['drac_mps2']:z.1f} m/s²)"
+        f"(DRAC {row['drac_mps2']:z.1f} m/s²){passed}"
     ), frame
+
+
+def _nearest(replay: Replay, since: int) -> tuple[float, int, int]:
+    """The ego's least distance to a vehicle in any direction, m, which vehicle, and the frame.
+
+    Another vehicle is the rectangle along the ego that contains it. Without vehicles, the distance
+    is infinite.
+    """
+    start, ego = replay.frame_of(since - 1), replay.ego
+    at = replay if replay.plan is None else replay.plan
+    x, y, heading, long, wide, present = (
+        getattr(at, name)[start:] for name in ("x", "y", "heading", "length", "width", "present")
+    )
+    own = slice(ego, ego + 1)
+    cos, sin = np.cos(heading[:, own]), np.sin(heading[:, own])
+    turned = heading - heading[:, own]
+    forward, sideward = np.abs(np.cos(turned)), np.abs(np.sin(turned))
+    dx, dy = x - x[:, own], y - y[:, own]
+    along = np.abs(dx * cos + dy * sin) - (long[:, own] + long * forward + wide * sideward) / 2
+    across = np.abs(dy * cos - dx * sin) - (wide[:, own] + long * sideward + wide * forward) / 2
+    distance = np.where(present, np.hypot(np.maximum(along, 0), np.maximum(across, 0)), np.inf)
+    distance[:, ego] = np.inf
+    frame, other = np.unravel_index(int(distance.argmin()), distance.shape)
+    return float(distance[frame, other]), int(other), start + int(frame)
 
 
 def _hard_braking(replay: Replay, since: int) -> tuple[str, int | None]:

@@ -37,11 +37,14 @@ class MissingLanes(NamedTuple):
 
 
 def missing_lanes(
-    parts: Iterable[pl.DataFrame], lanes: int, actions: Sequence[MetaAction] = DEFAULT_ACTIONS
+    parts: Iterable[pl.DataFrame],
+    lanes: int | None,
+    actions: Sequence[MetaAction] = DEFAULT_ACTIONS,
 ) -> MissingLanes:
     """Counts the decisions of an ego with the step rows `parts` on a road with `lanes` lanes.
 
-    The actions are the ego's meta-actions.
+    The actions are the ego's meta-actions. Where the number of `lanes` differs from place to place,
+    it is None, and a lane does not exist if the command to it has not changed the target lane.
 
     A decision counts from the second of its episode on, because a row has the state after its
     decision. A policy that decides more rarely than there are rows repeats its action in the rows
@@ -51,7 +54,9 @@ def missing_lanes(
     before = [pl.col(name).shift().over("episode") for name in ("lane", "target_lane", "action")]
     rows = pl.concat(
         [
-            part.select("step", "action", *(each.name.prefix("last_") for each in before))
+            part.select(
+                "step", "action", "target_lane", *(each.name.prefix("last_") for each in before)
+            )
             for part in parts
         ]
     ).drop_nulls()
@@ -61,7 +66,8 @@ def missing_lanes(
 
     def count(side: int, edge: int) -> int:
         changing = [k for k, action in enumerate(actions) if action.lanes == side]
-        on_edge = (pl.col("last_lane") == edge) & (pl.col("last_target_lane") == edge)
+        at = pl.col("target_lane") if lanes is None else pl.lit(edge)
+        on_edge = (pl.col("last_lane") == at) & (pl.col("last_target_lane") == at)
         return rows.filter(pl.col("action").is_in(changing) & on_edge).height
 
-    return MissingLanes(rows.height, count(-1, 0), count(1, lanes - 1))
+    return MissingLanes(rows.height, count(-1, 0), count(1, (lanes or 0) - 1))

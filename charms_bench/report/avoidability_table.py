@@ -69,12 +69,13 @@ def rescuers_table(found: Sequence[Avoidability], references: Sequence[str] = ()
 def in_words(found: Sequence[Avoidability]) -> str:
     """How many collisions have each verdict."""
     count = Counter(each.verdict for each in found)
+    ended = " (the search ended; give it a larger --budget)" * bool(count["unknown"])
     single = sum(each.replacement is not None for each in found)
     return (
         f"{counted(len(found), 'collision')} of the ego: {count['avoidable']} avoidable by its "
         f"meta-actions, {count['spawn']} unavoidable from the first decision on (the spawn), "
-        f"{count['unknown']} unknown. In {single}, replacing a single meta-action of one vehicle "
-        "avoids the collision."
+        f"{count['unknown']} unknown{ended}. In {single}, replacing a single meta-action of one "
+        "vehicle avoids the collision."
     )
 
 
@@ -94,6 +95,8 @@ def _record(each: Avoidability, settings: SceneSettings) -> dict[str, object]:
         record["escape"] = f"decision {each.last_step}"
         record["before_s"] = each.collided_s - (each.last_step - 1) / settings.decision_hz
         record["avoided_by"] = f"{len(each.avoided_by)} of {tried}"
+    if each.verdict == "unknown":
+        record["escape"] = f"unknown after {counted(each.nodes, 'decision')}"
     if (r := each.replacement) is not None:
         who = "ego" if r.is_ego else f"vehicle {r.vehicle}"
         was, instead = (action.replace("_", " ").lower() for action in (r.was, r.instead))

@@ -26,10 +26,11 @@ _RENDERING = (
     *("screen_width", "screen_height", "centering_position", "scaling", "show_trajectories"),
     *("render_agent", "offscreen_rendering", "real_time_rendering"),
 )
-_WHOLE = (
+WHOLE = (
     *("lanes_count", "no_lanes", "roundabout_lanes"),
-    *("vehicles_count", "initial_vehicle_count", "controlled_vehicles"),
+    *("vehicles_count", "other_vehicles", "initial_vehicle_count", "controlled_vehicles"),
 )
+"""Keys whose values are whole numbers."""
 _LEAST = {
     **dict.fromkeys(("vehicles_count", "other_vehicles", "initial_vehicle_count"), 0),
     **dict.fromkeys(("state_noise", "derivative_noise"), 0),
@@ -117,10 +118,15 @@ def _check_number(key: str, value: Any) -> None:
     """Raises an `InputError` unless a value is a number that the key can have."""
     if not isinstance(value, Real) or math.isnan(value):
         raise InputError(f"config.{key}: {value!r}; expected a number")
-    if key in _WHOLE and not isinstance(value, Integral):
+    if key in WHOLE and not isinstance(value, Integral):
         raise InputError(f"config.{key}: {value!r}; expected a whole number")
     if key in _LEAST and value < _LEAST[key]:
         raise InputError(f"config.{key}: {value!r}; expected at least {_LEAST[key]}")
+
+
+def whole(point: Mapping[str, float]) -> dict[str, float]:
+    """The values of keys, rounded where they are whole numbers."""
+    return {key: round(value) if key in WHOLE else value for key, value in point.items()}
 
 
 def plain(values: Any) -> Any:

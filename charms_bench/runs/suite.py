@@ -335,7 +335,8 @@ def suite_of(document: Document) -> Suite:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
     for index, road in enumerate(suite.roads):
         try:
-            suite._scene_of(Surroundings(road, suite.traffics[0]))
+            for each in (road, *(road.bounds if road.parameters else ())):
+                suite._scene_of(Surroundings(each, suite.traffics[0]))
         except InputError as error:
             raise document.error(("roads", index), str(error)) from error
     for index, entry in enumerate(suite.traffics):

@@ -1,15 +1,16 @@
 """The roads of a suite: highway-env's and files, with their configurations and durations."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import yaml
-from pydantic import ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.foundation.fields import UNLESS_EMPTY, Name, Positive
 from charms_bench.world.named_road import ENVIRONMENT, NamedRoad
 from charms_bench.world.profile import ROADS
+from charms_bench.world.scenario import Parameter
 
 
 class RoadEntry(NamedRoad):
@@ -20,6 +21,9 @@ class RoadEntry(NamedRoad):
     that, the duration of the environment; and 45 s where it has none."""
     label: Name | None = None
     """Its name in tables; by default highway-env's, or that of the file."""
+    parameters: Annotated[dict[Name, Parameter], UNLESS_EMPTY] = Field(default={})
+    """Numbers of the configuration that `charms-bench search` varies, and their ranges. All other
+    commands use those of `configuration`."""
 
     @model_validator(mode="before")
     @classmethod
@@ -35,6 +39,18 @@ class RoadEntry(NamedRoad):
     def road(self) -> NamedRoad:
         """The road itself."""
         return NamedRoad(**{name: getattr(self, name) for name in NamedRoad.model_fields})
+
+    def at(self, point: Mapping[str, float]) -> "RoadEntry":
+        """The road with the values of a point in its configuration."""
+        return self.model_copy(update={"configuration": {**(self.configuration or {}), **point}})
+
+    @property
+    def bounds(self) -> tuple["RoadEntry", ...]:
+        """The road with the lowest, and with the highest values of its parameters."""
+        from charms_bench.roads.configuration import whole  # which other suites do not need
+
+        ends = ({name: each.range[k] for name, each in self.parameters.items()} for k in (0, 1))
+        return tuple(self.at(whole(point)) for point in ends)
 
 
 def with_defaults_of_roads(suite: dict[str, Any], roads: Sequence[Any]) -> dict[str, Any]:

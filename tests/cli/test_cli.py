@@ -18,7 +18,7 @@ from command_line import charms_bench
 
 from charms_bench import __version__
 from charms_bench.cli import terminal
-from charms_bench.report.progress import progress
+from charms_bench.foundation.progress import progress
 
 FOR_TERMINALS = {"FORCE_COLOR", "PY_COLORS", "TTY_COMPATIBLE", "TTY_INTERACTIVE"}
 SUITE = """\

@@ -178,3 +178,17 @@ def test_the_nearest_of_two_decides_whether_the_gap_was_taken() -> None:
 def test_a_change_taken_back_at_once_loses_no_gap() -> None:
     (change,) = abandoned_changes(given_up(18.0, 0, 1, gives_up_at=2))
     assert change.taker is None
+
+
+def test_a_vehicle_that_crosses_closely_is_named_although_the_ego_never_closed_in_on_it() -> None:
+    # At 0.2 s, the front of the ego, 2.5 m ahead of it, is 0.2 m from the side of the other one.
+    x = np.array([[0.0, 3.7]] * 5)
+    y = np.array([[0.0, each] for each in (40.0, 20.0, 10.0, 0.0, -10.0)])
+    passed = replay_of(x=x, y=y, heading=np.array([0.0, -np.pi / 2]), lane=0)
+    words = "passed vehicle 1 at a distance of 0.2 m, at t = 0.2 s"
+    assert what_happened(passed, "near-miss") == words
+
+
+def test_a_vehicle_in_the_neighbouring_lane_is_not_worth_a_word() -> None:
+    beside = replay_of(x=np.zeros((5, 2)), y=np.array([0.0, 4.0]))
+    assert what_happened(beside, "near-miss") == "never closed in on a vehicle"

@@ -43,3 +43,9 @@ def test_the_lane_changes_are_those_of_the_policys_own_actions() -> None:
     actions = MetaAction("STAY"), MetaAction("GO RIGHT AND FAST", lanes=1, profile_step=1)
     steps = rows((0, 1, 1), (1, 1, 2), (1, 2, 2), (1, 2, 2))
     assert missing_lanes([steps], 3, actions) == MissingLanes(3, 0, 1)
+
+
+def test_where_lanes_end_a_command_that_does_not_change_the_target_lane_counts() -> None:
+    changing = (LANE_RIGHT, 0, 1), (LANE_RIGHT, 1, 1), (IDLE, 1, 1)
+    steps = rows((IDLE, 0, 0), *changing, (LANE_RIGHT, 1, 1), (LANE_LEFT, 1, 0), (LANE_LEFT, 0, 0))
+    assert missing_lanes([steps], lanes=None) == MissingLanes(6, 0, 1)

@@ -1,5 +1,7 @@
 """The probability of a rare event on a road whose vehicles also come during the episode."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from command_line import charms_bench
@@ -7,6 +9,7 @@ from command_line import charms_bench
 from charms_bench import api
 from charms_bench.engine.draws import count_of
 from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.runs.shard import engine_on
 from charms_bench.runs.suite import Cell, load_suite
@@ -44,6 +47,13 @@ def test_the_proportion_of_plain_episodes_is_in_the_interval(made: api.Rare) -> 
     row = next(row for row in made.table.rows if row.labels[1] == "intersection-v1")
     number = row.numbers[0]
     assert 0.0 < number.low < plain.failed.mean() < number.high < 0.1
+
+
+def test_the_suite_needs_no_episodes(tmp_path: Path) -> None:
+    path = tmp_path / "junction.yaml"
+    path.write_text(SUITE.replace("episodes: 2\n", ""), encoding="utf-8")
+    with pytest.raises(InputError, match="runs is 1; expected 5 to"):  # what is checked next
+        api.rare(path, output=tmp_path / "out", runs=1)
 
 
 def test_the_table_names_the_road_and_show_prints_it_again(made: api.Rare) -> None:

@@ -267,7 +267,7 @@ class Drawing(Search):
 
     def _margins(self, agent: AgentSpec, points: list[Point], first: int = 0) -> Floats:
         is_avoided = agent.name == "careful_human" and first == 0
-        return np.full(len(points), 1.0 if is_avoided else -1.0)
+        return np.full((len(points), 1), 1.0 if is_avoided else -1.0)
 
 
 def test_a_failure_among_agents_that_draw_is_one_in_its_own_episode(tmp_path: Path) -> None:

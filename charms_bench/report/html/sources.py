@@ -83,7 +83,7 @@ def _failures(folder: Path) -> Table:
     """The failures that a search has found."""
     points = found_in(folder)
     records = [{"failure": str(number), **point} for number, point in enumerate(points)]
-    columns = tuple(Column(name, form=".3f") for name in (points[0] if points else ()))
+    columns = tuple(Column(name, form=".5g") for name in (points[0] if points else ()))
     title = f"Failures of a search: {folder.name}"
     note = "" if points else "No failure was found."
     return Table.from_records(records, "failures", title, ("failure",), columns, note)

@@ -3,16 +3,20 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
 
+from charms_bench.foundation.compiled import is_kept
 from charms_bench.foundation.streams import QUIET
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+ENGINE = "the engine (once, about half a minute)"
+ENGINE_OF_ROADS = "the engine of highway-env's roads (once, one or two minutes)"
 Tell = Callable[[str, int], None]
 """Called with what is being worked on and the number of units finished since the last call."""
 
@@ -26,6 +30,13 @@ def note(text: str) -> None:
     """Prints a message on standard error, apart from the results."""
     if not QUIET.get():
         Console(stderr=True, emoji=False).print(printable(text), highlight=False, soft_wrap=True)
+
+
+@cache
+def note_compiling(function: Any, engine: str) -> None:
+    """Says, once, that the first call of a function compiles an engine, if it does."""
+    if not is_kept(function):
+        note(f"compiling {engine}")
 
 
 @contextmanager
