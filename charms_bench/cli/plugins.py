@@ -19,7 +19,7 @@ from charms_bench.cli.terminal import (
     say,
     shown,
 )
-from charms_bench.errors import PLUGIN_ERRORS, InputError, raised
+from charms_bench.errors import PLUGIN_ERRORS, InputError, raised, suggestion
 from charms_bench.foundation.files import absolute, is_same_file
 
 
@@ -183,6 +183,13 @@ def export(
         "(networks of the paper's authors), or highway-env's Kinematics, with options such as "
         "'{type: Kinematics, vehicles_count: 7}'; the default is what the checkpoint states.",
     ),
+    environment: str | None = typer.Option(
+        None,
+        metavar="NAME",
+        help="Environment of highway-env that the network was trained in, such as merge-v0, with "
+        "other values than its defaults as '{name: merge-v0, configuration: {policy_frequency: "
+        "5}}'; the default is what the checkpoint states.",
+    ),
     normalise: Path | None = typer.Option(
         None,
         metavar="FILE.npz",
@@ -234,6 +241,7 @@ def export(
         seen = None if observation is None else named_observation(value_of(observation))
     except ValueError as error:
         raise InputError(f"--observation {observation}: is not YAML: {error}") from error
+    where = None if environment is None else _environment(environment)
     facts = {"style": style} if style else {}
     if decision_hz is not None:
         facts["decision_hz"] = f"{decision_hz:g}"
@@ -242,7 +250,7 @@ def export(
     export_zip = load(EXPORTERS, "sb3")
     records = []
     for checkpoint, output in outputs.items():
-        made = export_zip(checkpoint, output, facts, seen, stochastic, normalise)
+        made = export_zip(checkpoint, output, facts, seen, stochastic, normalise, None, where)
         records.append(made)
         if not as_json:
             sizes = " → ".join(map(str, made["sizes"]))
@@ -259,3 +267,22 @@ def export(
                 say(f"At {hz:g} Hz, it drives in suites with `simulation_hz: {rate}` in `scene`.")
     if as_json:
         end_with_json(records[0] if to is None else records)
+
+
+def _environment(text: str) -> dict[str, Any]:
+    """What a checkpoint of charms-bench would state of an environment with highway-env's name."""
+    from charms_bench.envs.road_episodes import described
+    from charms_bench.roads import TASKS
+    from charms_bench.roads.episodes import Episodes
+    from charms_bench.runs.document import value_of
+    from charms_bench.world.named_road import NamedRoad
+
+    try:
+        value = value_of(text)
+        road = NamedRoad.model_validate({"name": value} if isinstance(value, str) else value)
+        if road.name not in TASKS:
+            known = suggestion(road.name, dict.fromkeys(TASKS))
+            raise InputError(f"no environment named '{road.name}'. {known}")
+        return described(Episodes(road.name, 1, road.configuration))
+    except (InputError, ValueError) as error:
+        raise InputError(f"--environment {text}: {error}") from error

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.stepping import BeforeMove
 from charms_bench.engine.views import Views
-from charms_bench.plugins.agent import DriverModel
+from charms_bench.plugins.agent import DriverModel, Policy
 from charms_bench.world.actions import Actions, MetaAction
 from charms_bench.world.plan import Plan
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
@@ -46,6 +46,10 @@ class Engine(Protocol):
     """[B] whether the ego has reached the goal of its road; the straight road has none."""
     has_goal: bool
     """Whether the road has one."""
+    egos: int
+    """How many of the first vehicles are egos, which the ego's agent drives."""
+    ego_index: int
+    """Which of them is the ego of the next episodes, the vehicle at place 0."""
     renewal_steps: int
     """After so many simulation steps each, a road lets vehicles enter and leave; 0 if never."""
 
@@ -129,6 +133,7 @@ def make_engine(
     memory: int = 0,
     prescribed: Collection[int] = (),
     own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
+    policies: Mapping[int, Policy] = MappingProxyType({}),
 ) -> Engine:
     """An engine of B scenes, by its name or by what makes it; nothing is spawned yet.
 
@@ -136,14 +141,16 @@ def make_engine(
     `command` drives the vehicles of all other agents; the agents `continuous` have continuous
     actions, and `before_move` decides what the vehicles of `prescribed` do. `memory` is the width
     of the scene's memory. `own_actions` are the meta-actions of the agents that have other ones
-    than highway-env's.
+    than highway-env's, and `policies` are the policies, whose observations decide how vehicles act
+    on a road with a name.
     """
+    of_agents = models, continuous, memory, prescribed, own_actions
     if callable(name):
-        return name(settings, scenes, models, continuous, memory, prescribed, own_actions)
+        return name(settings, scenes, *of_agents, policies)
     if name == "batched":
         from charms_bench.engine.batched import BatchedEngine
 
-        return BatchedEngine(settings, scenes, models, continuous, memory, prescribed, own_actions)
+        return BatchedEngine(settings, scenes, *of_agents)
     from charms_bench.engine.highway_env import HighwayEnvEngine
 
-    return HighwayEnvEngine(settings, scenes, models, continuous, memory, prescribed, own_actions)
+    return HighwayEnvEngine(settings, scenes, *of_agents)

@@ -19,7 +19,7 @@ from charms_bench.errors import (
 )
 from charms_bench.foundation.compiled import compiled
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
-from charms_bench.plugins.deciding import check_declared, kept_width
+from charms_bench.plugins.deciding import check_declared, check_road, kept_width
 from charms_bench.plugins.registry import others_of
 from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
 from charms_bench.world.actions import (
@@ -138,9 +138,14 @@ class RunningEpisodes:
         widths = (*self.kept_widths.values(), *(model.memory_width for model in models.values()))
         memory = max(widths, default=0)
         self.prescribed = [k for k, name in enumerate(self.agents) if name == PRESCRIBED]
-        self.engine = make_engine(
-            engine, settings, scenes, models, continuous, memory, self.prescribed, self.own_actions
-        )
+        of_agents = models, continuous, memory, self.prescribed, self.own_actions, self.policies
+        self.engine = make_engine(engine, settings, scenes, *of_agents)
+        if self.engine.egos > 1 and not (ego and tuple(traffic.agents) == (PRESCRIBED,)):
+            raise InputError(
+                f"on the road '{settings.network}', {self.engine.egos} egos drive among the "
+                "vehicles that the road has itself; expected an agent for them, and `traffic: "
+                "environment`. Your program drives them in RoadParallelEnv"
+            )
 
     @property
     def scene(self) -> Scene:
@@ -222,6 +227,7 @@ def _check_agent(name: str, agent: Agent, settings: SceneSettings) -> None:
             return
         if agent.rollouts_with:
             others_of(agent)
+        check_road(agent, settings.network is not None)
     except InputError as error:
         raise InputError(f"agent '{name}': {error}") from error
     hz = agent.decision_hz

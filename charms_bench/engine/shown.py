@@ -17,6 +17,8 @@ class Shown:
     scene: Scene
     has_goal = False
     renewal_steps = 0
+    egos = 1
+    ego_index = 0
 
     def renew(self, rows: Ints, agents: Ints) -> Vehicles:
         """None, since no road lets vehicles enter."""

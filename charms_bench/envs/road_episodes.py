@@ -288,15 +288,20 @@ class RoadEpisodes(Episodes):
         ]
 
 
-def spaces_of(episodes: RoadScenes) -> Spaces:
-    """The spaces of the observations and the actions of one environment."""
+def described(episodes: RoadScenes) -> dict[str, Any]:
+    """What the space of observations says of its environment; see `spaces.trained_in`."""
     config = episodes.config
-    where = {
+    return {
         "environment": episodes.name,
         "decision_hz": config["policy_frequency"],
         "observation": json.dumps(config["observation"], default=str),
         "action": json.dumps(config["action"], default=str),
     }
+
+
+def spaces_of(episodes: RoadScenes) -> Spaces:
+    """The spaces of the observations and the actions of one environment."""
+    where = described(episodes)
     seen = [trained_in(observer.space, where) for observer in episodes.observers]
     chosen = [episodes.actions.space for _ in range(episodes.agents)]
     return (

@@ -85,7 +85,7 @@ class RecordedCell:
         key, actions = cell.ego.agent.key, DEFAULT_ACTIONS
         if is_ego_outside and isinstance(ego := agents[key], Policy):
             actions = meta_actions_of(ego.actions) or actions
-        return Simulation(
+        simulation = Simulation(
             settings or cell.scene,
             scenes,
             None if is_ego_outside else key,
@@ -94,6 +94,11 @@ class RecordedCell:
             engine_on(settings or cell.scene),
             actions=actions,
         )
+        if simulation.engine.egos > 1:
+            raise InputError(
+                f"{cell.title}: several egos drive in its episodes; expected a road with one ego"
+            )
+        return simulation
 
     def steps(self, episodes: Sequence[int]) -> pl.DataFrame:
         """The step rows of these episodes in the run folder; raises a `RunFolderError`."""

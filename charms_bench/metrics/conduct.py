@@ -10,7 +10,7 @@ from collections.abc import Callable
 import polars as pl
 
 from charms_bench.metrics.metric import Metric
-from charms_bench.recording.columns import DRIVER_SUMS
+from charms_bench.recording.columns import DRIVER_SUMS, keys_of
 
 _PER_1000KM = {
     "gaps_lost": "lane changes aborted because another vehicle took the gap",
@@ -32,8 +32,8 @@ Sums = Callable[[str], pl.Expr]
 
 
 def conduct_of(drivers: pl.DataFrame) -> pl.DataFrame:
-    """The driver rows as one row per episode: `*_of_ego` and `*_of_traffic`."""
-    return drivers.group_by("episode").agg(
+    """The driver rows as one row per ego and episode: `*_of_ego` and `*_of_traffic`."""
+    return drivers.group_by(keys_of(drivers)).agg(
         pl.col(name).filter(is_it).sum().cast(pl.Float64).alias(f"{name}_of_{who}")
         for who, is_it in (("ego", pl.col("is_ego")), ("traffic", ~pl.col("is_ego")))
         for name in DRIVER_SUMS

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import polars as pl
 
+from charms_bench.recording.columns import keys_of
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 
 NOTABLE = 0.05
@@ -51,11 +52,11 @@ def missing_lanes(
     between; these are left out, as far as its changes of action tell. The rule for a lane that does
     not exist is that of `world.action_mask`. An ego without meta-actions has no decisions.
     """
-    before = [pl.col(name).shift().over("episode") for name in ("lane", "target_lane", "action")]
+    before = pl.col("lane", "target_lane", "action").shift()
     rows = pl.concat(
         [
             part.select(
-                "step", "action", "target_lane", *(each.name.prefix("last_") for each in before)
+                "step", "action", "target_lane", before.over(keys_of(part)).name.prefix("last_")
             )
             for part in parts
         ]

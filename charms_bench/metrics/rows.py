@@ -14,7 +14,7 @@ import polars.selectors as cs
 from charms_bench.metrics.conduct import conduct_of
 from charms_bench.metrics.metric import Metric
 from charms_bench.metrics.time_to_collision import time_to_collision
-from charms_bench.recording.columns import NO_DRIVERS
+from charms_bench.recording.columns import NO_DRIVERS, keys_of
 from charms_bench.world.gaps import gap_to, required_braking
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -62,9 +62,10 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     rate = settings.decision_hz
     collided = pl.col("ending").is_in(["rear_end", "side"]) & (pl.col("step") == pl.col("steps"))
     lateral_mps = pl.col("speed") * pl.col("heading").sin()
+    keys = keys_of(episodes)
     return (
-        episodes.join(steps, on="episode", how="left")
-        .sort("episode", "step")
+        episodes.join(steps, on=keys, how="left")
+        .sort(*keys, "step")
         .with_columns(cs.float().cast(pl.Float64))
         .with_columns(
             time_s=pl.col("step") / rate,
@@ -82,7 +83,7 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
             drifting=(pl.col("driving") & (lateral_mps.abs() > DRIFT_MPS)).fill_null(False),
         )
         .with_columns(**_following())
-        .with_columns(**_lane_changes(settings))
+        .with_columns(**_lane_changes(settings, keys))
     )
 
 
@@ -118,7 +119,7 @@ def _following() -> dict[str, pl.Expr]:
     }
 
 
-def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
+def _lane_changes(settings: SceneSettings, keys: Sequence[str]) -> dict[str, pl.Expr]:
     """The columns on lane changes, which lie between two decisions with different lanes."""
     window = max(1, round(LANE_CHANGE_WINDOW_S * settings.decision_hz))
     changed, drifting = pl.col("lane_changed"), pl.col("drifting")
@@ -140,9 +141,9 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
     own = changed & pl.col("driving")
     next_change = {
         name: pl.when(own).then(pl.col(name)).shift(-1).backward_fill()
-        for name in ("episode", "step", "lane")
+        for name in (*keys, "step", "lane")
     }
-    is_back = next_change["episode"].eq(pl.col("episode"))
+    is_back = pl.all_horizontal(next_change[key].eq(pl.col(key)) for key in keys)
     is_back &= next_change["lane"].eq(pl.col("lane").shift())
     within = round(UNDONE_WITHIN_S * settings.decision_hz)
     return {
@@ -168,18 +169,23 @@ def sums_by_episode(
 ) -> list[Floats]:
     """The sums [E, k] of each metric, by episode.
 
-    They are those of E episode rows (`columns.EPISODE`), their step rows (`columns.STEP`) and
-    their driver rows (`columns.DRIVER`); see `join_rows` and `conduct.conduct_of`. The column
-    `left_out` has how many concrete scenarios are left out per episode.
+    They are those of the episode rows (`columns.EPISODE`) of E episodes, their step rows
+    (`columns.STEP`) and their driver rows (`columns.DRIVER`); see `join_rows` and
+    `conduct.conduct_of`. Those of several egos of an episode are added, so that intervals resample
+    episodes. The column `left_out` has how many concrete scenarios are left out per episode.
     """
     rows = join_rows(episodes.with_columns(left_out=pl.lit(left_out)), steps, settings).join(
-        conduct_of(drivers), on="episode", how="left", maintain_order="left"
+        conduct_of(drivers), on=keys_of(episodes), how="left", maintain_order="left"
     )
     aggregations = [
         expression.cast(pl.Float64).fill_null(0.0).alias(f"{i}.{j}")
         for i, metric in enumerate(metrics)
         for j, expression in enumerate(metric.sums)
     ]
-    table = rows.group_by("episode", maintain_order=True).agg(aggregations).drop("episode")
+    keys = keys_of(episodes)
+    table = rows.group_by(keys, maintain_order=True).agg(aggregations).drop(keys[1:])
+    if len(keys) > 1:
+        table = table.group_by("episode", maintain_order=True).sum()
+    table = table.drop("episode")
     columns = np.cumsum([len(metric.sums) for metric in metrics])[:-1]
     return np.split(table.to_numpy(), columns, axis=1)

@@ -7,7 +7,8 @@ import numpy as np
 
 from charms_bench.errors import BrokenWordError, InputError
 from charms_bench.plugins.agent import Agent, Policy
-from charms_bench.world.actions import Actions, check_actions
+from charms_bench.world.actions import Actions, check_actions, meta_actions_of
+from charms_bench.world.highway_env_observation import STRAIGHT, HighwayEnv
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import Floats, Ints, Observations
 
@@ -99,9 +100,13 @@ def check_declared(agent: Agent) -> None:
     """
     least = {"memory_width": 0}
     if isinstance(agent, Policy):
-        observation_of(agent.observation)
+        like = observation_of(agent.observation)
         try:
             check_actions(agent.actions)
+            if isinstance(like, HighwayEnv) and (
+                meta_actions_of(agent.actions) != meta_actions_of(like.actions)
+            ):
+                raise InputError("are not those of its observation highway_env")
         except InputError as error:
             raise InputError(f"its attribute `actions` {error}") from error
         if hasattr(agent, "target_speed_steps_mps"):
@@ -116,6 +121,16 @@ def check_declared(agent: Agent) -> None:
             raise _impossible(name, found, f"an integer from {lowest} to {WIDEST:,}")
     if isinstance(agent, Policy) and type(agent.rollouts_with) is not str:
         raise _impossible("rollouts_with", agent.rollouts_with, "the name of an agent")
+
+
+def check_road(policy: Policy, has_name: bool) -> None:
+    """Checks that a policy with the observation `highway_env` is on a road with a name.
+
+    Raises:
+        InputError: It is on the straight road.
+    """
+    if isinstance(observation_of(policy.observation), HighwayEnv) and not has_name:
+        raise InputError(STRAIGHT)
 
 
 def _impossible(name: str, found: Any, expected: str) -> InputError:

@@ -37,6 +37,7 @@ from charms_bench.world.action_mask import masks_of
 from charms_bench.world.action_texts import actions_described
 from charms_bench.world.actions import (
     ACTIONS,
+    CONTROLS,
     DEFAULT_ACTIONS,
     OWN_STEPS,
     Actions,
@@ -46,6 +47,7 @@ from charms_bench.world.actions import (
     outputs_of,
     with_speed_steps,
 )
+from charms_bench.world.highway_env_observation import HighwayEnv
 from charms_bench.world.observations import (
     ACTION_MASK,
     NamedObservation,
@@ -99,6 +101,8 @@ class OnnxPolicy(Policy):
 
     is_assumed: bool
     """Whether nobody knows that it was trained on what it observes; see `ASSUMED`."""
+    controls: list[int]
+    """The columns of continuous actions that are its outputs."""
 
     def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
         self.path = Path(path)
@@ -131,12 +135,14 @@ class OnnxPolicy(Policy):
             self.observation = observation_described(said.get("observation", "neighbours"))
         except InputError as error:
             raise ModelError(f"metadata: {error}") from error
-        self.actions = _actions(said)
+        own = self.observation if isinstance(self.observation, HighwayEnv) else None
+        self.actions = own.actions if own else _actions(said)
         self.history_length = _history(said.get("history", "1"))
         history = (self.history_length,) * (self.history_length > 1)
         shape = *history, *self.observation.shape
         self._rows = self.observation.shape[0]
-        self._roles = _roles(found, shape, self.actions)
+        self.controls = own.controls if own else list(range(len(CONTROLS)))
+        self._roles = _roles(found, shape, self.actions, len(self.controls))
         self.memory_width, self.noise_draws = self._roles.memory, self._roles.noise
         if self._roles.mask:
             self.observation = _with_mask(self.observation, self.actions)
@@ -163,9 +169,11 @@ class OnnxPolicy(Policy):
         return (actions, after) if self.memory_width else actions
 
     def actions_of(self, values: NDArray[np.float32]) -> Actions:
-        """The actions (M,) or (M, 2) that the network's output means."""
+        """The actions (M,) or (M, 2) that the network's output means; 0 without an output."""
         if self.actions == "continuous":
-            return np.clip(values, -1.0, 1.0)
+            both = np.zeros((len(values), len(CONTROLS)), values.dtype)
+            both[:, self.controls] = np.clip(values, -1.0, 1.0)
+            return both
         return np.asarray(np.argmax(values, axis=1))
 
     def values_and_memory(
@@ -200,7 +208,9 @@ class OnnxPolicy(Policy):
     def _computed(
         self, observations: Observations, memory: Floats, noise: Floats
     ) -> tuple[NDArray[np.float32], Floats]:
-        roles, seen = self._roles, observations[..., : self._rows, :]
+        roles, seen = self._roles, observations
+        if roles.mask:
+            seen = observations[..., : self._rows, :]
         inputs = {roles.seen: seen.reshape(-1, *roles.shape)}
         if roles.mask:
             newest = observations if self.history_length == 1 else observations[:, -1]
@@ -278,9 +288,10 @@ def _history(said: str) -> int:
     return int(said)
 
 
-def _roles(found: Signature, shape: tuple[int, ...], actions: ActionsLike) -> Roles:
+def _roles(found: Signature, shape: tuple[int, ...], actions: ActionsLike, controls: int) -> Roles:
     """What the ports are for; refuses other shapes than these of an observation and the values."""
-    count, is_meta = outputs_of(actions), bool(meta_actions_of(actions))
+    is_meta = bool(meta_actions_of(actions))
+    count = outputs_of(actions) if is_meta else controls
     masks = count if is_meta else len(ACTIONS)
     roles = roles_of(found)
     fits = roles and roles.shape in ((math.prod(shape),), shape) and roles.outputs == count

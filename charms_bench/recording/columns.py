@@ -225,8 +225,20 @@ SCHEMAS = {
 """The kinds of rows that a shard has."""
 NO_DRIVERS = DRIVER_SCHEMA.to_frame()
 """No driver rows."""
+EGO_INDEX = "ego_index"
+"""The number of the ego, from 0, which steps, episodes and drivers have on roads with several."""
 DRIVER_KEYS = ("episode", "agent", "is_ego")
 DRIVER_SUMS = tuple(name for name in DRIVER if name not in DRIVER_KEYS)
+
+
+def keys_of(rows: pl.DataFrame) -> list[str]:
+    """The columns that tell egos and their episodes apart: mostly `episode` alone."""
+    return [name for name in ("episode", EGO_INDEX) if name in rows.columns]
+
+
+def with_ego_index(rows: pl.DataFrame, ego: int) -> pl.DataFrame:
+    """The rows of one of several egos."""
+    return rows.select("episode", pl.lit(ego, I8).alias(EGO_INDEX), pl.exclude("episode"))
 
 
 def _record(schema: pl.Schema, names: Iterable[str]) -> np.dtype[np.void]:

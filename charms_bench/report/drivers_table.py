@@ -11,6 +11,7 @@ import polars as pl
 
 from charms_bench.metrics import MetricSet
 from charms_bench.metrics.conduct import OF_DRIVERS
+from charms_bench.recording.columns import EGO_INDEX
 from charms_bench.report.definitions import columns_of
 from charms_bench.report.table import ESTIMATE, Column, Table, long_frame
 from charms_bench.runs.cells import CellRows
@@ -48,6 +49,8 @@ def _sums(cell: CellRows) -> dict[str, list[Floats]]:
     found: dict[str, Floats] = {}
     start = 0
     for (drivers,) in cell.drivers:
+        if EGO_INDEX in drivers.columns:  # the traffic of an episode is in the rows of each ego
+            drivers = drivers.filter(pl.col("is_ego") | (pl.col(EGO_INDEX) == 0))
         ordered = drivers.sort("is_ego", "agent", descending=[True, False])
         episodes = np.unique(drivers["episode"].to_numpy())
         for (is_ego, agent), rows in ordered.group_by("is_ego", "agent", maintain_order=True):

@@ -48,10 +48,10 @@ TASKS = {
 OF_FILES = "file_road:FileRoad"
 """Those of roads in files."""
 
-_NOT_OF_SUITES = ("parking", "lane-keeping", "intersection-multi-agent")
-OF_SUITES = tuple(name for name in TASKS if not name.startswith(_NOT_OF_SUITES))
-"""The environments on whose roads agents of the straight road drive the ego.
-
-There is no traffic in `parking` and `lane-keeping`, and `intersection-multi-agent` has several
-egos.
-"""
+OF_SEVERAL_EGOS = tuple(name for name in TASKS if name.startswith("intersection-multi-agent"))
+"""Those on whose roads the ego's agent drives several egos."""
+_WITHOUT_TRAFFIC = ("parking", "lane-keeping")
+OF_SUITES = tuple(
+    name for name in TASKS if not (name in OF_SEVERAL_EGOS or name.startswith(_WITHOUT_TRAFFIC))
+)
+"""The environments on whose roads agents of the straight road drive one ego, by default."""

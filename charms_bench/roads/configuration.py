@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.roads.scenes import Scenes
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.actions import ACTIONS, NAMES_BY_AXES
 
 TYPES = ("IDMVehicle", "LinearVehicle", "AggressiveVehicle", "DefensiveVehicle")
 """highway-env's classes of the other vehicles."""
@@ -38,12 +38,6 @@ _LEAST = {
     "after_merge_length": 90,
 }
 """The least values of keys."""
-_ACTIONS = {
-    (True, True): ACTIONS,
-    (True, False): ("SLOWER", "IDLE", "FASTER"),
-    (False, True): ("LANE_LEFT", "IDLE", "LANE_RIGHT"),
-}
-"""The meta-actions by whether they are longitudinal and lateral [`DiscreteMetaAction`]."""
 
 
 class MetaActions(NamedTuple):
@@ -69,8 +63,8 @@ class MetaActions(NamedTuple):
         """Of one action."""
         return gymnasium.spaces.Discrete(len(self.names))
 
-    def give(self, scenes: Scenes, actions: NDArray[Any], ego: int) -> Ints:
-        """The meta-actions (B,) for `stepping.decide`, from indices (B,) of actions."""
+    def give(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], ego: int) -> Ints:
+        """The meta-actions (R,) for `stepping.decide`, from indices (R,) of actions."""
         return np.asarray(self.meaning[actions])
 
 
@@ -161,7 +155,7 @@ def meta_actions(config: Mapping[str, Any]) -> MetaActions:
     """
     known = {"longitudinal": True, "lateral": True, "target_speeds": None}
     action = options("action", config["action"], {"type": "DiscreteMetaAction", **known})
-    names = _ACTIONS.get((bool(action["longitudinal"]), bool(action["lateral"])))
+    names = NAMES_BY_AXES.get((bool(action["longitudinal"]), bool(action["lateral"])))
     if names is None:
         raise InputError("config.action: neither longitudinal nor lateral; expected one of them")
     speeds = action["target_speeds"]

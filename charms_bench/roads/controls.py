@@ -73,23 +73,23 @@ class Controls:
         vehicles["kind"][rows] = self._kind
         vehicles["target_speed"][rows] = vehicles["route_end"][rows] = 0
 
-    def give(self, scenes: Scenes, actions: NDArray[Any], ego: int) -> Ints:
-        """Gives the ego at a place in all scenes its actions (B, axes), or (B,) indices.
+    def give(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], ego: int) -> Ints:
+        """Gives the ego at a place in the scenes `rows` its actions (R, axes), or (R,) indices.
 
         Accelerations and steering angles have the precision of the actions, as in highway-env.
 
         Returns:
-            Meta-actions (B,) for `stepping.decide`, which have no effect.
+            Meta-actions (R,) for `stepping.decide`, which have no effect.
         """
-        egos = scenes.vehicles[:, ego]
+        vehicles, at = scenes.vehicles, (rows, ego)
         actions = actions if self._table is None else self._table[actions]
         if self.clips:
             actions = np.clip(actions, -1, 1)
-        egos["acceleration"] = egos["steering"] = 0.0
+        vehicles["acceleration"][at] = vehicles["steering"][at] = 0.0
         for k, (axis, (low, high)) in enumerate(self._axes):
-            egos[axis] = low + (actions[:, k] - -1) * (high - low) / 2
+            vehicles[axis][at] = low + (actions[:, k] - -1) * (high - low) / 2
         if self._speeds:
-            egos["speed_min"], egos["speed_max"] = self._speeds
+            vehicles["speed_min"][at], vehicles["speed_max"][at] = self._speeds
         return np.zeros(len(actions), dtype=np.int64)
 
 

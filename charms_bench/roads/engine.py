@@ -12,8 +12,9 @@ the vehicles of the environment decide, and all move.
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import cached_property
+from itertools import chain
 from types import MappingProxyType
 from typing import Any
 
@@ -30,7 +31,8 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import seeded, with_draws
-from charms_bench.plugins.agent import DriverModel
+from charms_bench.plugins.agent import DriverModel, Policy
+from charms_bench.roads.configured_egos import configured
 from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import episodes_of_agents
@@ -55,7 +57,7 @@ from charms_bench.roads.scenes import (
     lane_of,
     vehicle_of,
 )
-from charms_bench.roads.settings import profiles_of
+from charms_bench.roads.settings import ONLY_EGOS, profiles_of
 from charms_bench.roads.stepping import collide, move_all
 from charms_bench.roads.straightened import BEHIND, Ways, find_way, straighten
 from charms_bench.roads.views import RoadViews
@@ -81,9 +83,9 @@ _LARGEST = 1e9
 """Bound of all numbers of a state, so that nothing overflows."""
 _LARGEST_POWER = 1e20
 """That of a speed over a target speed of almost 0, to the power of IDM's exponent."""
-BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS = range(4)
-"""What drives a vehicle: highway-env's environment, target speeds and lanes, a driver model, or
-continuous actions."""
+BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS, BY_CONFIGURATION = range(5)
+"""What drives a vehicle: highway-env's environment, target speeds and lanes, a driver model,
+continuous actions, or actions that highway-env's environment carries out."""
 
 
 class RoadEngine(Shown):
@@ -98,6 +100,7 @@ class RoadEngine(Shown):
         memory: int = 0,
         prescribed: Collection[int] = (),
         own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
+        policies: Mapping[int, Policy] = MappingProxyType({}),
     ) -> None:
         assert settings.network is not None
         hz = settings.simulation_hz
@@ -105,6 +108,8 @@ class RoadEngine(Shown):
         """The scenes on the network, of whose tables `state` is a view."""
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self._seen = Scene.empty(settings, scenes, parameters, memory)
+        self.configured = configured(policies, self.episodes)
+        """The egos that observe and act by a configuration of highway-env, by their agents."""
         self._moved = np.zeros(scenes, dtype=np.bool_)
         """[B] whether vehicles have moved since `_seen` was straightened."""
         shape = self._seen.x.shape
@@ -112,6 +117,7 @@ class RoadEngine(Shown):
         self._present = np.zeros(shape, dtype=np.bool_)
         """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
         self.goals: Bools = np.zeros(scenes, dtype=np.bool_)
+        self.egos, self.ego_index = self.episodes.task.egos, 0
         on_network, task = self.episodes.scenes, self.episodes.task
         self.has_goal = task.has_goal
         if task.comes_and_goes:
@@ -170,7 +176,7 @@ class RoadEngine(Shown):
         return self._views.read_only().at(self._junctions(self._seen.x.shape[1]))
 
     def _junctions(self, views: int) -> RoadJunctions:
-        return RoadJunctions(self.episodes, self._ways, views)
+        return RoadJunctions(self.episodes, self._ways, views, self.drivers, self.configured)
 
     def __getstate__(self) -> dict[str, Any]:
         own = super().__getstate__()
@@ -187,19 +193,34 @@ class RoadEngine(Shown):
         else:
             self._give(draws, rows, seeds)
         episodes.start(rows)
-        episodes.task.navigate(episodes.scenes, rows)
+        self._seat_ego(rows)
+        is_configured = np.isin(agents[:, 0], list(self.configured))
+        episodes.task.navigate(episodes.scenes, rows[~is_configured])
         scene.ego[rows], scene.active[rows], self.drivers[rows] = 0, True, agents
         scene.temperament[rows] = 0.5
         self.goals[rows] = False
         self._ways.lanes[rows] = -1
         self._seat(rows)
         vehicles, kinds = episodes.scenes.vehicles, self._kinds
-        vehicles["target_speed"][rows, 0] = vehicles["speed"][rows, 0]
+        others = rows[~is_configured]
+        vehicles["target_speed"][others, : self.egos] = vehicles["speed"][others, : self.egos]
         for b, i in zip(*np.nonzero(kinds[rows] != BY_ENVIRONMENT), strict=True):
             self._aim((rows[b], i))
+        for k, egos in self.configured.items():
+            egos.start(rows[agents[:, 0] == k])
         self._entries.start(rows, episodes.task.entering(episodes.scenes)[rows])
         self._fault.start(rows)
         self._show(rows)
+
+    def _seat_ego(self, rows: Ints) -> None:
+        """Has the ego `ego_index` and the first one change places; all moves stay the same."""
+        if self.ego_index == 0:
+            return
+        scenes, places = self.episodes.scenes, np.array([0, self.ego_index])
+        vehicles, order = scenes.vehicles, scenes.order["place"][rows]
+        vehicles[np.ix_(rows, places)] = vehicles[np.ix_(rows, places[::-1])]
+        swapped = np.where(order == 0, self.ego_index, np.where(order == self.ego_index, 0, order))
+        scenes.order["place"][rows] = swapped
 
     def _give(self, draws: Floats, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         """Has the random generators of the scenes `rows` draw what is given."""
@@ -214,6 +235,8 @@ class RoadEngine(Shown):
     def renew(self, rows: Ints, agents: Ints) -> Vehicles:
         scenes, ways = self.episodes.scenes, self._ways
         table = scenes.vehicles
+        for k, egos in self.configured.items():
+            egos.keep(rows[self.drivers[rows, 0] == k])
         x, y, was_there = table["x"][rows], table["y"][rows], self._present[rows]
         self.episodes.task.follow(scenes, rows)
         is_there = table["kind"][rows] > OBSTACLE
@@ -248,6 +271,9 @@ class RoadEngine(Shown):
         kinds = np.full(drivers.shape, BY_TARGETS)
         kinds[np.isin(drivers, list(self._models))] = BY_MODEL
         kinds[np.isin(drivers, self._continuous)] = BY_CONTROLS
+        kinds[np.isin(drivers, list(self.configured))] = BY_CONFIGURATION
+        if (kinds[:, 1:] == BY_CONFIGURATION).any():
+            raise InputError(f"{ONLY_EGOS}; let another agent drive the traffic")
         self._present[rows] = vehicles["kind"][rows] > OBSTACLE
         kinds[np.isin(drivers, self._prescribed) | ~self._present[rows]] = BY_ENVIRONMENT
         self._kinds[rows] = kinds
@@ -256,6 +282,8 @@ class RoadEngine(Shown):
             vehicles["kind"][rows],
             np.where(kinds == BY_CONTROLS, CONTINUOUS, COMMANDED),
         )
+        for k, egos in self.configured.items():
+            vehicles["kind"][rows[drivers[:, 0] == k], 0] = egos.kind
         if self._views is self._seen and kinds[:, 1:].any():
             scenes, widths = self._seen, (self._seen.parameters, self._seen.memory)
             count = scenes.x.size
@@ -265,13 +293,14 @@ class RoadEngine(Shown):
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
         self._show(rows[self._moved[rows]])  # which finds the ways, a part of the state
-        kept = (array[rows].astype(packed(array.dtype)) for array in self._kept)
+        own = chain.from_iterable(egos.state for egos in self.configured.values())
+        kept = (array[rows].astype(packed(array.dtype)) for array in (*self._kept, *own))
         each = [array.reshape(rows.size, math.prod(array.shape[1:])) for array in kept]
         return np.concatenate([array.view(np.uint8) for array in each], axis=1)
 
     def check(self, state: SceneState) -> None:
-        expected = sum(array[0].size * packed(array.dtype).itemsize for array in self._kept)
-        if state.network.shape[1] != expected:
+        expected = _bytes_of(self._kept)
+        if state.network.shape[1] not in (expected, expected + self._bytes_of_configured):
             found = state.network.shape[1]
             raise InputError(f"network: found {found} bytes per scene, expected {expected}")
         places, scenes = self._seen.x.shape[1], self.episodes.scenes
@@ -307,15 +336,28 @@ class RoadEngine(Shown):
         for array, part in zip(self._kept, self._parts(saved).values(), strict=True):
             array[rows] = part
         self._fault.start(rows)
+        start = _bytes_of(self._kept)
+        is_own = saved.shape[1] == start + self._bytes_of_configured
+        for egos in self.configured.values():
+            egos.resume(rows)
+            for array in egos.state if is_own else ():
+                end = start + _bytes_of((array,))
+                part = np.ascontiguousarray(saved[:, start:end]).view(array.dtype)
+                array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
         vehicles = self.episodes.scenes.vehicles
-        had_targets = vehicles["kind"][rows] != CONTINUOUS
+        had_targets = vehicles["kind"][rows] > CONTINUOUS
         self._seat(rows)
         gets_targets = (vehicles["kind"][rows] == COMMANDED) & ~had_targets
         speed, target_speed = vehicles["speed"][rows], vehicles["target_speed"][rows]
         target_speed = np.where(gets_targets, speed, target_speed)
-        target_speed *= self._kinds[rows] != BY_CONTROLS
+        is_controlled = vehicles["kind"][rows] <= CONTINUOUS
+        target_speed *= (self._kinds[rows] == BY_ENVIRONMENT) | ~is_controlled
         vehicles["target_speed"][rows] = target_speed
         self._show(rows)
+
+    @property
+    def _bytes_of_configured(self) -> int:
+        return sum(_bytes_of(egos.state) for egos in self.configured.values())
 
     def _parts(self, saved: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
         """What was `saved` of S scenes, [S, ...] by name, in the order of `_kept`."""
@@ -362,12 +404,15 @@ class RoadEngine(Shown):
 
     def _rule_of(self, vehicle: tuple[Any, Any]) -> Any:
         """How a vehicle carries out meta-actions."""
-        agent, is_ego = int(self.drivers[vehicle]), bool(vehicle[1] == 0)
+        agent, is_ego = int(self.drivers[vehicle]), bool(vehicle[1] < self.egos)
         return self._rules.get((agent, is_ego), self._rules[-1, is_ego])
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         rows, places = vehicles
         if not rows.size:
+            return
+        if egos := self.configured.get(int(self.drivers[rows[0], places[0]])):
+            egos.act(rows, actions)
             return
         if actions.ndim == 2:
             control = controls_of(actions)
@@ -408,6 +453,8 @@ class RoadEngine(Shown):
         known = scene.unpacked, self._views.unpacked, self._ways.unpacked
         advance(self.episodes.scenes, *known, rows, ~self._moved[rows], self._kinds)
         self._moved[rows] = True
+        for egos in self.configured.values():
+            egos.keeps[rows] = False
         self._entries.note(self.episodes.scenes, rows)
         self._fault.note(self.episodes.scenes, rows)
         if self.has_goal:
@@ -524,6 +571,11 @@ def _check_values(name: str, values: NDArray[Any], bounds: tuple[float, float] |
         raise InputError(f"network: {name}: found {values[~valid][0]}, expected {what}")
 
 
+def _bytes_of(arrays: Iterable[NDArray[Any]]) -> int:
+    """The bytes per scene of arrays [B, ...]."""
+    return sum(array[0].size * packed(array.dtype).itemsize for array in arrays)
+
+
 def packed(kind: np.dtype[Any]) -> np.dtype[Any]:
     """The type without the bytes between fields, which hold anything."""
     return np.dtype(repack_fields(kind)) if kind.names else kind
@@ -554,11 +606,12 @@ def advance(
             forget(here, i)
         ego = vehicle_of(here, 0)
         acceleration, steering = ego.acceleration, ego.steering
-        if told[r]:
+        if told[r] and kinds[b, 0] != BY_CONFIGURATION:
             acceleration, steering = scene.acceleration[b, 0], scene.steering[b, 0]
             take(here, known, b, 0, scene, b)
         for i in range(here.places):
-            if kinds[b, i] != BY_ENVIRONMENT and decides_lane(here, vehicle_of(here, i)):
+            as_there = kinds[b, i] in (BY_ENVIRONMENT, BY_CONFIGURATION)
+            if not as_there and decides_lane(here, vehicle_of(here, i)):
                 change_to_route(here, i)
         if here.constants.looks_ahead:
             look_ahead(here)
@@ -567,7 +620,7 @@ def advance(
             kind, vehicle = kinds[b, i], vehicle_of(here, i)
             if kind == BY_MODEL and i > 0:
                 vehicle.acceleration = views.scene.acceleration[b * here.places + i, i]
-            elif i == 0 and kind != BY_TARGETS:
+            elif i == 0 and kind not in (BY_TARGETS, BY_CONFIGURATION):
                 vehicle.acceleration = acceleration
             if kind == BY_CONTROLS:
                 vehicle.steering = steering if i == 0 else vehicle.steering
@@ -581,7 +634,7 @@ def advance(
             vehicle = vehicle_of(here, i)
             if kinds[b, i] == BY_ENVIRONMENT:
                 continue
-            if vehicle.speed < 0.0 and not can_reverse:
+            if vehicle.speed < 0.0 and not (can_reverse or kinds[b, i] == BY_CONFIGURATION):
                 vehicle.acceleration -= vehicle.speed / here.constants.dt
                 vehicle.speed = 0.0
             vehicle.timer_s += here.constants.dt

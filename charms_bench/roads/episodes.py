@@ -186,7 +186,9 @@ class Episodes:
         scenes, rewards = self.scenes, self._rewards
         self.task.prepare(scenes, self.everyone)
         parts = actions if isinstance(actions, tuple) else (actions,)
-        given = [self.actions.give(scenes, part, ego) for ego, part in enumerate(parts)]
+        given = [
+            self.actions.give(scenes, self.everyone, part, ego) for ego, part in enumerate(parts)
+        ]
         seen = self.observe() if self.task.observes_before else None
         decide(scenes, self.everyone, np.stack(given, axis=1), self._frames, self._interval)
         self.steps += 1

@@ -100,10 +100,12 @@ class Exit(Task):
 
     def navigate(self, scenes: Scenes, rows: Ints) -> None:
         """Has the egos change to the right lane, and to the lane of the exit where it begins."""
-        ego, rule = scenes.vehicles[:, 0], self._rule
-        ego["route_roads"][rows, :2] = rule.main, scenes.road.lanes["first"][rule.exit_lane]
-        ego["route_numbers"][rows, :2] = rule.lanes - 1, rule.lanes
-        ego["route_step"][rows], ego["route_end"][rows] = 0, 2
+        rule = self._rule
+        for k in range(self.egos):
+            ego = scenes.vehicles[:, k]
+            ego["route_roads"][rows, :2] = rule.main, scenes.road.lanes["first"][rule.exit_lane]
+            ego["route_numbers"][rows, :2] = rule.lanes - 1, rule.lanes
+            ego["route_step"][rows], ego["route_end"][rows] = 0, 2
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the ramp."""

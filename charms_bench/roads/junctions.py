@@ -1,13 +1,17 @@
 """What the observation `interaction` says of the ways of vehicles on a network, compiled."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
+from charms_bench.roads.configured_egos import ConfiguredEgos
 from charms_bench.roads.conflicts import BEHIND as GIVES_WAY
 from charms_bench.roads.conflicts import CROSSING, MERGING, Conflicts
 from charms_bench.roads.episodes import Episodes
@@ -43,6 +47,10 @@ class RoadJunctions:
     ways: Ways
     views: int
     """How many views there are of each scene: one for each of its vehicles, or 1."""
+    drivers: Ints
+    """[B, N] the index of each vehicle's agent."""
+    configured: Mapping[int, ConfiguredEgos]
+    """The egos that observe by a configuration of highway-env, by the index of their agent."""
 
     def describe(self, vehicles: Vehicles, observations: Observations, occlusion: bool) -> None:
         """Completes the observations `interaction` of M vehicles that have just been shown."""
@@ -50,6 +58,13 @@ class RoadJunctions:
         episodes = self.episodes
         known = episodes.scenes, self.ways.unpacked, episodes.conflicts
         _describe(*known, rows, places, occlusion, observations)
+
+    def observe(self, vehicles: Vehicles) -> NDArray[Any]:
+        """The observations `highway_env` of M egos of one agent."""
+        rows, places = vehicles[0] // self.views, vehicles[1]
+        if (egos := self.configured.get(int(self.drivers[rows[0], places[0]]))) is None:
+            raise InputError("the observation highway_env is that of an ego whose policy names it")
+        return egos.observe(rows)
 
 
 class _Meeting(NamedTuple):

@@ -8,10 +8,11 @@ import numpy as np
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel
-from charms_bench.roads import OF_SUITES, TASKS
+from charms_bench.roads import OF_SEVERAL_EGOS, OF_SUITES, TASKS
 from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.scenes import OBSTACLE
+from charms_bench.world.highway_env_observation import HighwayEnv
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.observations import observation_of
@@ -31,7 +32,6 @@ _OF_SCENES = {
     "simulation_frequency": "give scene.simulation_hz",
     "policy_frequency": "give scene.decision_hz",
     "duration": "give duration_s beside the road's name",
-    "controlled_vehicles": "a suite has one ego",
     "file": "give file beside the configuration",
     "sha256": "it is that of the file",
 }
@@ -39,8 +39,10 @@ _OF_SCENES = {
 _MOST = {
     **dict.fromkeys(("vehicles_count", "other_vehicles", "initial_vehicle_count"), 2000),
     **dict.fromkeys(("lanes_count", "no_lanes", "roundabout_lanes"), 50),
+    "controlled_vehicles": 50,
 }
 """The largest values of keys, so that scenes fit into memory."""
+ONLY_EGOS = "a policy with the observation highway_env drives egos only"
 LARGEST = 10_000
 """That of all other keys."""
 
@@ -65,8 +67,9 @@ def _check(road: NamedRoad) -> None:
             f"name: '{road.name}' is one of highway-env's roads; give the road of a file another "
             "name, or none"
         )
-    if road.file is None and road.name not in OF_SUITES:
-        known = suggestion(road.name, dict.fromkeys(OF_SUITES))
+    of_suites = (*OF_SUITES, *OF_SEVERAL_EGOS)
+    if road.file is None and road.name not in of_suites:
+        known = suggestion(road.name, dict.fromkeys(of_suites))
         raise InputError(f"no road named '{road.name}'. {known}")
     for key, value in (road.configuration or {}).items():
         if key in _OF_SCENES:
@@ -126,15 +129,17 @@ def on_road(
     return settings.model_copy(update=changes)
 
 
-def problem_of_driver(agent: Agent) -> str:
-    """Why an agent cannot drive on a road; empty if it can."""
+def problem_of_driver(agent: Agent, is_ego: bool = True) -> str:
+    """Why an agent cannot drive on a road, the ego or the traffic; empty if it can."""
     if isinstance(agent, DriverModel):
         return ""
+    if isinstance(observation_of(agent.observation), HighwayEnv) and not is_ego:
+        return ONLY_EGOS
     if agent.weights_sha256 and isinstance(observation_of(agent.observation), Kinematics):
         return (
             "a network of highway-env's Kinematics receives on this road neither the ranges nor "
-            "the target speeds of the environment that it was trained in; its row would be of "
-            "another task"
+            "the target speeds of the environment that it was trained in; export it again with "
+            "the name of that environment as `charms-bench export --environment`"
         )
     return ""
 

@@ -103,7 +103,8 @@ def first_difference(stored: pl.DataFrame, again: pl.DataFrame) -> str:
         return ""
     row = wrong[0]
     column = next(name for name in stored.columns if unequal[name][row])
-    keys = [name for name in ("episode", "step", "agent", "quantity", "bin") if name in again]
+    known = "episode", "ego_index", "step", "agent", "quantity", "bin"
+    keys = [name for name in known if name in again]
     place = ", ".join(f"{name} {again[name][row]}" for name in keys if name != column)
     others = f", and {len(wrong) - 1} more rows differ" if len(wrong) > 1 else ""
     return (

@@ -74,10 +74,10 @@ class CellRows:
         whole = np.empty((self.size, ends[-1]))
         start = 0
         for (episodes, steps), (drivers,) in zip(self.parts, self.drivers, strict=True):
-            end = start + len(episodes)
             sums = sums_by_episode(
                 metrics, episodes, steps, settings, drivers, self.left_out / self.size
             )
+            end = start + len(sums[0])
             np.concatenate(sums, axis=1, out=whole[start:end])
             start = end
         found = np.split(whole, ends[:-1], axis=1)
@@ -101,7 +101,7 @@ class TrafficCounts:
         counts = np.zeros((size, len(QUANTITIES), BINS), dtype=np.int32)
         start = 0
         for episodes, rows in parts:
-            seeds = np.sort(episodes["episode"].to_numpy())
+            seeds = np.unique(episodes["episode"].to_numpy())
             quantity = rows["quantity"].replace_strict(QUANTITIES, range(len(QUANTITIES)))
             episode = start + np.searchsorted(seeds, rows["episode"].to_numpy())
             counts[episode, quantity.to_numpy(), rows["bin"].to_numpy()] = rows["count"].to_numpy()

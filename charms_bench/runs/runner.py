@@ -313,8 +313,8 @@ def _check_road(suite: Suite, cell: Cell, engine: EngineName, networks: Mapping[
 
     others = traffic_of(cell.traffic.traffic).agents
     seats = [cell.ego.agent, *(AgentSpec(name=name) for name in others if name != PRESCRIBED)]
-    for driver in seats:
-        what = problem_of_driver(agent_of(driver, networks))
+    for k, driver in enumerate(seats):
+        what = problem_of_driver(agent_of(driver, networks), is_ego=k == 0)
         if engine != "batched":
             what = f"the engine '{engine}' has straight roads only; `verify --road` compares others"
         if what:

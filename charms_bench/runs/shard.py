@@ -40,7 +40,7 @@ from charms_bench.plugins.registry import (
 )
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.recording.columns import DRIVER_KEYS
+from charms_bench.recording.columns import DRIVER_KEYS, keys_of, with_ego_index
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.code_hashes import (
     ROADS,
@@ -158,12 +158,16 @@ def simulate(task: ShardTask) -> ShardFiles:
     drivers = CheckedDrivers(task.ego, task.traffic, task.networks, task.scene, first)
     with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
         engine = engine_on(task.scene, task.engine)
-        simulation = Simulation(task.scene, count, ego, drivers.traffic, drivers.agents, engine)
-        simulation.reset(np.arange(first, first + count, dtype=np.uint64))
-        recording = Recording(simulation)
-        while simulation.scene.active.any():
-            simulation.step()
-            recording.note()
+        recordings: list[Recording] = []
+        egos = 1
+        while len(recordings) < egos:
+            simulation = Simulation(task.scene, count, ego, drivers.traffic, drivers.agents, engine)
+            simulation.engine.ego_index, egos = len(recordings), simulation.engine.egos
+            simulation.reset(np.arange(first, first + count, dtype=np.uint64))
+            recordings.append(recording := Recording(simulation))
+            while simulation.scene.active.any():
+                simulation.step()
+                recording.note()
         drivers.finish(task.title)
     if problem := problem_of(names):
         raise AgentError(f"{task.title}: {problem}; its rows are rejected")
@@ -173,13 +177,22 @@ def simulate(task: ShardTask) -> ShardFiles:
         for driver in drivers.drivers
         if is_network(driver.name)
     }
-    conduct = recording.drivers().with_columns(pl.col("agent").replace(copies)).sort(DRIVER_KEYS)
+    conduct = _of_egos([recording.drivers() for recording in recordings])
+    conduct = conduct.with_columns(pl.col("agent").replace(copies))
     return {
-        "steps": in_parquet(recording.steps()),
-        "counts": in_parquet(recording.counts()),
-        "drivers": in_parquet(conduct),
-        "episodes": in_parquet(recording.episodes()),
+        "steps": in_parquet(_of_egos([recording.steps() for recording in recordings])),
+        "counts": in_parquet(recordings[0].counts()),
+        "drivers": in_parquet(conduct.sort(*keys_of(conduct), *DRIVER_KEYS[1:])),
+        "episodes": in_parquet(_of_egos([recording.episodes() for recording in recordings])),
     }
+
+
+def _of_egos(rows: list[pl.DataFrame]) -> pl.DataFrame:
+    """The rows of all egos of some episodes, which have been simulated once for each ego."""
+    if len(rows) == 1:
+        return rows[0]
+    found: pl.DataFrame = pl.concat(with_ego_index(each, k) for k, each in enumerate(rows))
+    return found.sort(*keys_of(found), maintain_order=True)
 
 
 def engine_on(scene: SceneSettings, engine: EngineName = "batched") -> EngineName | MakeEngine:

@@ -16,7 +16,14 @@ import polars as pl
 
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.words import counted
-from charms_bench.recording.columns import DRIVER_KEYS, OPTIONAL, SCHEMAS
+from charms_bench.recording.columns import (
+    DRIVER_KEYS,
+    EGO_INDEX,
+    OPTIONAL,
+    SCHEMAS,
+    keys_of,
+    with_ego_index,
+)
 from charms_bench.runs.shards import Shard
 from charms_bench.world.following import BINS, QUANTITIES
 from charms_bench.world.scene import DECISIONS_LIMIT
@@ -57,6 +64,8 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
     schema = SCHEMAS[kind]
     try:
         held = pl.read_parquet_schema(BytesIO(data))
+        if EGO_INDEX in held:
+            schema = with_ego_index(schema.to_frame(), 0).schema
         names = [name for name in schema if name in held or name not in OPTIONAL]
         wrong = [name for name in names if held.get(name) != schema[name]]
         if not wrong:
@@ -94,11 +103,13 @@ def _problem_of_keys(kind: str, rows: pl.DataFrame, shard: Shard) -> str:
         return problem
     if any(rows[name].null_count() for name in _WITHOUT_NULL[kind]):
         return "a value is missing"
-    if kind == "episodes" and len(rows) != count:
+    egos = rows[EGO_INDEX].n_unique() if EGO_INDEX in rows.columns else 1
+    if kind == "episodes" and len(rows) != count * egos:
         episodes = f"{counted(count, 'episode')} {first} to {first + count - 1}"
         return f"it has {len(rows)} of the {episodes}"
-    if not _is_in_order(rows, _KEYS[kind]):
-        return f"its rows are not in order of {', '.join(_KEYS[kind])}, or two have the same"
+    keys = dict.fromkeys((*keys_of(rows), *_KEYS[kind]))
+    if not _is_in_order(rows, [*keys]):
+        return f"its rows are not in order of {', '.join(keys)}, or two have the same"
     return ""
 
 
@@ -160,18 +171,22 @@ def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) ->
     if what := problem_of_steps(rows["episodes"], rows["steps"]):
         return what
     egos = rows["drivers"].filter("is_ego")
-    if not np.array_equal(egos["episode"], rows["episodes"]["episode"]):
+    if not egos.select(keys_of(egos)).equals(rows["episodes"].select(keys_of(rows["episodes"]))):
         return "not every episode has one driver row of its ego"
     return problem_of_egos(rows["drivers"], ego)
 
 
 def problem_of_steps(episodes: pl.DataFrame, steps: pl.DataFrame) -> str:
     """Returns where step rows, in order, are not those of their episode rows; empty if nowhere."""
-    seeds, first, rows = np.unique(steps["episode"], return_index=True, return_counts=True)
-    last = steps["step"].to_numpy()[first + rows - 1]
-    found = dict(zip(seeds.tolist(), zip(rows.tolist(), last.tolist(), strict=True), strict=True))
-    for episode, said in episodes.select("episode", "steps").iter_rows():
-        if found.get(episode) != (said, said):
-            there = found.get(episode, (0, 0))[0]
-            return f"episode {episode} has {said} steps, but there are {there} step rows"
+    keys = keys_of(steps)
+    if keys != keys_of(episodes):
+        return "step rows and episode rows have other keys"
+    found = steps.group_by(keys).agg(rows=pl.len(), last=pl.last("step"))
+    both = episodes.select(*keys, "steps").join(found, on=keys, how="left", maintain_order="left")
+    is_same = pl.all_horizontal(pl.col("rows", "last").eq_missing(pl.col("steps")))
+    for row in both.filter(~is_same).head(1).iter_rows(named=True):
+        return (
+            f"episode {row['episode']} has {row['steps']} steps, but there are {row['rows'] or 0} "
+            "step rows"
+        )
     return ""

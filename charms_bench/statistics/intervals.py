@@ -184,7 +184,12 @@ def _estimate(metric: Metric, sums: Floats, resampled: Floats | None) -> Estimat
 
 
 def of_events(kind: Interval, sums: Floats) -> Bounds:
-    """The interval of a proportion or a rate of any kind but "bootstrap", from sums [E, k]."""
+    """The interval of a proportion or a rate of any kind but "bootstrap", from sums [E, k].
+
+    Where episodes have several egos, an event can happen to each of them.
+    """
+    if kind in ("wilson", "garwood") and (sums[:, 0] > 1).any():
+        return clustered(sums, "proportion" if kind == "wilson" else "rate")
     totals = sums.sum(axis=0)
     events = round(totals[-1])
     if kind == "wilson":

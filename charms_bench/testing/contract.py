@@ -38,6 +38,7 @@ from charms_bench.plugins.deciding import (
 )
 from charms_bench.plugins.traffic import Traffic, assigned
 from charms_bench.world.actions import ACTIONS, problem_of
+from charms_bench.world.highway_env_observation import HighwayEnv, any_observations
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
 
@@ -254,11 +255,13 @@ def _kept(check: Callable[..., Any], *arguments: Any) -> Any:
 
 def _question(policy: Policy, seed: int = 0) -> Question:
     """What a policy is asked about every vehicle of the example, with memory of one decision."""
-    simulation = example(seed)
+    simulation, like = example(seed), observation_of(policy.observation)
     everyone = _everyone(simulation.scene)
     vehicles = everyone[0].size
     asked = Asked(
-        observation_of(policy.observation)(simulation.scene, everyone),
+        any_observations(like.shape, vehicles, seed)
+        if isinstance(like, HighwayEnv)
+        else like(simulation.scene, everyone),
         np.zeros((vehicles, kept_width(policy))),
         np.random.default_rng(seed).random((vehicles, policy.noise_draws)),
         Futures(simulation, policy).of(everyone) if policy.rollouts_with else None,

@@ -9,6 +9,8 @@ from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.registry import make_agent
 from charms_bench.recording.recording import Recording
 from charms_bench.world.actions import meta_actions_of
+from charms_bench.world.highway_env_observation import HighwayEnv
+from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
 
 EPISODES = 50
@@ -17,14 +19,16 @@ EPISODES = 50
 def remark_on(name: str) -> str:
     """A remark on the decisions of an agent as the ego among IDM+MOBIL, without its subject.
 
-    It is empty if there is nothing to remark, as of every driver model, which takes no actions; see
-    `metrics.missing_lanes`.
+    It is empty if there is nothing to remark, as of a driver model, which takes no actions,
+    and of a policy of highway-env's environments; see `metrics.missing_lanes`.
 
     Raises:
         CharmsBenchError: The agent cannot drive.
     """
     agent, settings = make_agent(name), SceneSettings()
     if isinstance(agent, DriverModel):
+        return ""
+    if isinstance(observation_of(agent.observation), HighwayEnv):
         return ""
     if rate := settings.simulation_hz_for(float(agent.decision_hz)):
         settings = SceneSettings(simulation_hz=rate)

@@ -91,6 +91,12 @@ DEFAULT_ACTIONS: tuple[MetaAction, ...] = (
 ACTIONS = tuple(action.name for action in DEFAULT_ACTIONS)
 """Their names."""
 LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER = range(len(DEFAULT_ACTIONS))
+NAMES_BY_AXES = {
+    (True, True): ACTIONS,
+    (True, False): ("SLOWER", "IDLE", "FASTER"),
+    (False, True): ("LANE_LEFT", "IDLE", "LANE_RIGHT"),
+}
+"""The meta-actions by whether they are longitudinal and lateral [`DiscreteMetaAction`]."""
 ActionKind = Literal["meta", "continuous"]
 """`meta`: `DEFAULT_ACTIONS`. `continuous`: an acceleration and a steering angle per vehicle, each
 as a share of its range, from -1 to 1 [highway-env's `ContinuousAction`]."""

@@ -25,8 +25,10 @@ A lane that does not exist looks like one without vehicles. Two options add a ro
 `paper_neighbours` is the observation of the networks that the paper's authors released.
 
 `Kinematics` is highway-env's own observation, with its options; see
-`charms_bench.world.kinematics_observation`. `interaction` has the vehicles along and across the way
-of a vehicle on any road; see `charms_bench.world.interaction_observation`.
+`charms_bench.world.kinematics_observation`. `highway_env` has the observation and the actions of a
+configuration of highway-env; see `charms_bench.world.highway_env_observation`. `interaction` has
+the vehicles along and across the way of a vehicle on any road; see
+`charms_bench.world.interaction_observation`.
 """
 
 import json
@@ -41,6 +43,7 @@ from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.action_mask import action_masks
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
+from charms_bench.world.highway_env_observation import HighwayEnv
 from charms_bench.world.interaction_observation import Interaction
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.road import side_lanes
@@ -51,11 +54,11 @@ class Observation(Protocol):
     """What a policy observes. `OBSERVATIONS` lists the observations that have a name."""
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """The rows and columns of one vehicle's observation."""
+    def shape(self) -> tuple[int, ...]:
+        """That of one vehicle's observation, mostly rows and columns."""
 
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
-        """The observations of M vehicles, (M, rows, columns)."""
+        """The observations of M vehicles, (M, *shape)."""
 
 
 ObservationLike = str | Mapping[str, Any] | Observation
@@ -118,10 +121,10 @@ class PaperNeighbours(Neighbours):
 neighbours = Neighbours()
 paper_neighbours = PaperNeighbours()
 
-NamedObservation = Neighbours | Kinematics | Interaction
+NamedObservation = Neighbours | Kinematics | Interaction | HighwayEnv
 _KINDS: tuple[type[NamedObservation], ...] = (
     *(Neighbours, PaperNeighbours),
-    *(Kinematics, Interaction),
+    *(Kinematics, Interaction, HighwayEnv),
 )
 OBSERVATIONS = {kind.name: kind for kind in _KINDS}
 """The observations that have a name."""

@@ -304,6 +304,9 @@ class Junctions(Protocol):
     def describe(self, vehicles: Vehicles, observations: Observations, occlusion: bool) -> None:
         """Completes the observations `interaction` of M vehicles; see `interaction_observation`."""
 
+    def observe(self, vehicles: Vehicles) -> NDArray[Any]:
+        """The observations `highway_env` of M vehicles; see `highway_env_observation`."""
+
 
 class Scene(SceneArrays):
     """B scenes of N vehicles. A driver model may only write `WRITABLE` of its own vehicles."""

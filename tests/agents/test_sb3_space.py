@@ -23,6 +23,7 @@ from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
+from charms_bench.world.interaction_observation import Interaction
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import neighbours, paper_neighbours
 
@@ -110,12 +111,19 @@ def test_a_network_with_bounds_is_not_exported_as_one_of_kinematics(tmp_path: Pa
     assert "other bounds than those of neighbours, as behind a wrapper" in refusal(path)
 
 
-@pytest.mark.parametrize("name", ["roundabout-v1", "merge-v1"])
-def test_a_network_of_a_road_is_refused(name: str, tmp_path: Path) -> None:
-    _, path = trained(gymnasium.make(f"charms_bench/{name}"), tmp_path)
-    for more in (), ("--observation", "Kinematics"):
-        said = refusal(path, *more)
-        assert f"was trained in charms_bench/{name}; an agent of a suite has neither" in said
+def test_a_network_of_a_road_that_no_suite_has_is_refused(tmp_path: Path) -> None:
+    config = {"observation": {"type": "Kinematics"}}
+    _, path = trained(gymnasium.make("charms_bench/parking-v0", config=config), tmp_path)
+    assert "was trained in charms_bench/parking-v0, on whose road suites have no" in refusal(path)
+
+
+def test_a_network_of_interaction_is_exported(tmp_path: Path) -> None:
+    on_road = {"scene": {"road": "merge-v1"}, "observation": "interaction"}
+    for name, options in (("straight", {"observation": "interaction"}), ("merge", on_road)):
+        _, path = trained(made(**options), tmp_path)
+        done = export_zip(path, tmp_path / f"{name}.onnx", {})
+        policy = OnnxPolicy(tmp_path / f"{name}.onnx")
+        assert (policy.observation, done["trained_in"]) == (Interaction(), "Ego-v0")
 
 
 def test_a_network_of_highway_takes_its_options_along(tmp_path: Path) -> None:

@@ -53,6 +53,17 @@ NOT_RUN = {
     "--half selection": "takes minutes, and recordings that are not in the project",
     "python mine.py": "tests/agents/test_your_policy.py trains it",
     "charms-bench export mine.zip mine.onnx": "it is not trained here",
+    **dict.fromkeys(
+        (
+            "charms-bench export model.zip roundabout.onnx",
+            "charms-bench export model.zip roundabout.onnx --environment roundabout-v0",
+            (
+                "charms-bench export model.zip slow.onnx --environment "
+                "'{name: merge-v0, configuration: {policy_frequency: 5}}'"
+            ),
+        ),
+        "tests/agents/test_trained_in_highway_env.py trains and exports such a network",
+    ),
     "charms-bench run ego --agent mine.onnx --agent NETWORKS/seed-3012/ppo.onnx "
     "--agent NETWORKS/seed-3012/dqn.onnx": "it is not trained here",
 }

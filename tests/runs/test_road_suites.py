@@ -326,10 +326,10 @@ def test_a_road_has_its_configuration() -> None:
             "configuration.duration: give duration_s beside the road's name",
         ),
         (
-            [{"name": "intersection-v0", "configuration": {"controlled_vehicles": 2}}],
-            "configuration.controlled_vehicles: a suite has one ego",
+            [{"name": "merge-v0", "configuration": {"controlled_vehicles": 2}}],
+            "configuration.controlled_vehicles: 2; this environment has one ego",
         ),
-        (["intersection-multi-agent-v0"], "no road named 'intersection-multi-agent-v0'"),
+        (["parking-v0"], "no road named 'parking-v0'"),
     ],
 )
 def test_a_road_that_cannot_be_is_one_message(tmp_path: Path, roads: object, what: str) -> None:

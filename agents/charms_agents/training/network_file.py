@@ -25,7 +25,7 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.onnx_ports import MASK_INPUT, NOISE_INPUT
 from charms_bench.world.action_mask import masks_of
 from charms_bench.world.action_texts import metadata_of
-from charms_bench.world.actions import ActionsLike, meta_actions_of, outputs_of
+from charms_bench.world.actions import ActionsLike, meta_actions_of
 from charms_bench.world.observations import ACTION_MASK, NamedObservation, described, neighbours
 from charms_bench.world.scene import Observations
 
@@ -134,16 +134,17 @@ def export(
         RunFolderError: The file cannot be written.
     """
     given, steps = given or Given(), STEPS if lstm else 1
-    (rows, columns), history = observation.shape, given.history
+    seen, history = observations, given.history
     facts = {"observation": described(observation), **facts}
     if history > 1:
         facts["history"] = str(history)
-    shape = (*(history,) * (history > 1), rows, columns)
+    shape = (*(history,) * (history > 1), *observation.shape)
     data = _serialised(network, facts, shape, masked, lstm, stochastic, given, actions)
-    seen = observations[..., :rows, :].reshape(len(observations), history, -1)
-    flat = torch.tensor(given.of(seen))  # writable
+    if masked:
+        seen = observations[..., : observation.shape[0], :]
+    flat = torch.tensor(given.of(seen.reshape(len(seen), history, -1)))  # writable
     newest = observations if history == 1 else observations[:, -1]
-    draws = outputs_of(actions) * stochastic
+    draws = layers_of(network)[-1][1].size * stochastic
     noise = np.random.default_rng(0).random((len(flat), draws), np.float32)
     with torch.no_grad():
         hidden = lstm(flat.reshape(steps, -1, flat.shape[1]))[0].flatten(0, 1) if lstm else flat
@@ -168,7 +169,7 @@ def export(
             actions.append(policy.actions_of(values))
         found = np.concatenate(actions)
         if continuous:
-            lost = np.abs(found - expected).max(axis=1)
+            lost = np.abs(found[:, policy.controls] - expected).max(axis=1)
             ties = lost > 0
         else:
             lost = expected.max(axis=1) - expected[np.arange(found.size), found]
@@ -203,7 +204,7 @@ def _serialised(
     actions: ActionsLike,
 ) -> bytes:
     after = [type(module) for module in network if type(module) in _STEPS]
-    width, graph = outputs_of(actions), Graph()
+    width, graph = layers_of(network)[-1][1].size, Graph()
     graph.inputs.append(port("observations", "batch", *shape))
     graph.outputs.append(port("values", "batch", width))
     last = given.add_to(graph, graph.add("Flatten", ["observations"], "flat", axis=1))

@@ -7,6 +7,7 @@ the JSON of `data`. The pickles in `data` could run any code and are never loade
 import json
 import pickletools
 import re
+from collections.abc import Sequence
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -17,7 +18,6 @@ import torch
 
 from charms_agents.training.network_file import KINDS
 from charms_bench.foundation.files import read_limited
-from charms_bench.world.actions import CONTROLS
 
 WEIGHTS, DATA = "policy.pth", "data"
 FILE_LIMIT_BYTES = 256 * 2**20
@@ -125,8 +125,8 @@ def activation_of(said: Any, usual: str) -> str | None:
     return usual
 
 
-def check_continuous(said: Any) -> None:
-    """Refuses continuous actions that go through a tanh, or are not from -1 to 1."""
+def check_continuous(said: Any, names: Sequence[str]) -> None:
+    """Refuses continuous actions that go through a tanh, or are not from -1 to 1 for each name."""
     if within(said, "policy_kwargs", "squash_output"):
         raise Refusal("squashes its output; expected a PPO or A2C without squash_output")
     space = within(said, "action_space")
@@ -134,12 +134,10 @@ def check_continuous(said: Any) -> None:
         bounds = [[float(each) for each in space[key].strip("[]").split()] for key in _BOUNDS]
     except (ValueError, LookupError, TypeError, AttributeError):
         return
-    size = len(CONTROLS)
+    size = len(names)
     if bounds != [[-1.0] * size, [1.0] * size]:
         low, high = bounds
-        raise Refusal(
-            f"has actions from {low} to {high}; expected Box(-1, 1, ({size},)): {CONTROLS}"
-        )
+        raise Refusal(f"has actions from {low} to {high}; expected Box(-1, 1, ({size},)): {names}")
 
 
 def tensors_of(weights: bytes) -> Tensors:

@@ -1,6 +1,7 @@
 """Exports a Stable-Baselines3 checkpoint to ONNX, without running any code from it."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +24,13 @@ from charms_agents.training.sb3_checkpoint import (
     tensors_of,
     within,
 )
-from charms_agents.training.sb3_space import actions_of, input_of, read_statistics, trained_on
+from charms_agents.training.sb3_space import (
+    Observed,
+    actions_of,
+    input_of,
+    read_statistics,
+    trained_on,
+)
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import NOT_STATED
 from charms_bench.testing import example_scene
@@ -33,8 +40,8 @@ from charms_bench.world.actions import (
     ActionsLike,
     MetaAction,
     meta_actions_of,
-    outputs_of,
 )
+from charms_bench.world.highway_env_observation import HighwayEnv, any_observations
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours
 from charms_bench.world.scene import Observations
@@ -74,10 +81,11 @@ def export_zip(
     checkpoint: Path,
     output: Path,
     facts: dict[str, str],
-    observation: Neighbours | Kinematics | None = None,
+    observation: Observed | None = None,
     stochastic: bool = False,
     normalise: Path | None = None,
     actions: tuple[MetaAction, ...] | None = None,
+    environment: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Writes the network that decides for a DQN, PPO, A2C, SAC or TD3 as an ONNX file.
 
@@ -102,6 +110,8 @@ def export_zip(
         normalise: A NumPy archive with the mean, var and clip of a `VecNormalize`, which a
             checkpoint does not hold; `NOT_OBSERVATIONS` if it normalised rewards only.
         actions: The meta-actions; by default, those that the checkpoint states, or highway-env's.
+        environment: The environment of highway-env that the network was trained in, if the
+            checkpoint does not state it; see `envs.road_episodes.described`.
 
     Returns:
         sizes (inputs, units of each hidden layer, outputs), activation, sha256 of the
@@ -120,24 +130,32 @@ def export_zip(
         _check_positions(found.layers)
         said = said_in(data)
         named = activation_of(said, found.activation)
-        if found.actions == "continuous":
-            check_continuous(said)
         if stochastic and (not found.samples or found.actions == "continuous"):
             raise Refusal(
                 "does not draw its actions; --stochastic is for a PPO or A2C with meta-actions"
             )
-        trained, width = trained_on(said), _width(tensors, found)
-        if found.actions == "meta":
-            found = found._replace(actions=actions or actions_of(trained))
+        trained, width = trained_on(said, environment), _width(tensors, found)
         if normalise == NOT_OBSERVATIONS:
             trained, normalise = trained._replace(has_original=False), None
         seen = input_of(trained, observation, width, normalise is not None)
         given = seen.given
+        names: tuple[str, ...] = CONTROLS
+        if isinstance(seen.observation, HighwayEnv):
+            names = tuple(CONTROLS[k] for k in seen.observation.controls)
+            actions = meta_actions_of(seen.observation.actions)
+            if bool(actions) == (found.actions == "continuous"):
+                kind = seen.observation.action["type"]
+                raise Refusal(f"has other actions than the {kind} of its environment")
+        if found.actions == "continuous":
+            check_continuous(said, names)
+        else:
+            names = ()
+            found = found._replace(actions=actions or actions_of(trained))
         if normalise is not None:
             given = replace(given, **read_statistics(normalise, trained, seen.order))
         lstm = _lstm(tensors, width, seen.order)
         source = "the outputs of the LSTM" if lstm else "the numbers that it is given"
-        layers = _layers(found, lstm.hidden_size if lstm else width, source)
+        layers = _layers(found, lstm.hidden_size if lstm else width, source, names)
         if not lstm:
             weight, bias = layers[0]
             layers[0] = np.ascontiguousarray(weight[:, seen.order]), bias
@@ -148,11 +166,13 @@ def export_zip(
     activation = named or f"{found.activation} (assumed)"
     observation = seen.observation
     is_assumed = isinstance(observation, Kinematics) and not trained.where
+    names_road = isinstance(observation, HighwayEnv)
     provenance = {
         "source": f"{name}, a Stable-Baselines3 checkpoint",
         "source_sha256": content_sha256,
         "activation": activation,
         **({"trained_in": NOT_STATED} if is_assumed else {}),
+        **({"trained_in": trained.where["environment"]} if names_road else {}),
     }
     # A policy of sb3-contrib's `MaskablePPO`.
     masked = ".maskable." in str(within(said, "policy_class", "__module__"))
@@ -178,8 +198,10 @@ def export_zip(
     }
 
 
-def _seen(observation: Neighbours | Kinematics, seed: int) -> Observations:
+def _seen(observation: Observed, seed: int) -> Observations:
     """The observations of all vehicles in the example scenes of a seed."""
+    if isinstance(observation, HighwayEnv):
+        return any_observations(observation.shape, 100, seed)
     scene = example_scene(seed)
     return observation(scene, np.nonzero(np.ones(scene.x.shape, np.bool_)))
 
@@ -289,7 +311,7 @@ def _check_positions(network: Numbered) -> None:
         )
 
 
-def _layers(deciding: _Deciding, width: int, source: str) -> Layers:
+def _layers(deciding: _Deciding, width: int, source: str, controls: tuple[str, ...]) -> Layers:
     """The layers as arrays; refuses layers that do not fit together, or take another width."""
     network = deciding.layers
     layers: Layers = []
@@ -304,8 +326,8 @@ def _layers(deciding: _Deciding, width: int, source: str) -> Layers:
         source = "the outputs of the layer before"
         layers.append((_array(weight, f"layer {index}"), _array(bias, f"layer {index}")))
         width = weight.shape[0]
-    if width != outputs_of(deciding.actions):
-        names = tuple(each.name for each in meta_actions_of(deciding.actions)) or CONTROLS
+    names = tuple(each.name for each in meta_actions_of(deciding.actions)) or controls
+    if width != len(names):
         raise Refusal(f"has {width} actions; expected {len(names)}: {names}")
     return layers
 

@@ -20,8 +20,11 @@ from charms_agents.training.onnx_input import Given
 from charms_agents.training.sb3_checkpoint import Refusal, within
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import json_of, read_limited
+from charms_bench.roads import OF_SUITES
+from charms_bench.roads.episodes import Episodes
 from charms_bench.world.action_texts import actions_described
 from charms_bench.world.actions import MetaAction
+from charms_bench.world.highway_env_observation import HighwayEnv
 from charms_bench.world.interaction_observation import Interaction
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import (
@@ -64,10 +67,13 @@ class Trained(NamedTuple):
     """(M, numbers) the last observations."""
 
 
+Observed = Neighbours | Kinematics | Interaction | HighwayEnv
+
+
 class Input(NamedTuple):
     """What the exported network receives."""
 
-    observation: Neighbours | Kinematics
+    observation: Observed
     decision_hz: float
     given: Given
     """What the network is given of it, without a normalisation."""
@@ -75,18 +81,27 @@ class Input(NamedTuple):
     """Where each number of (history, rows, columns) is in the input of the checkpoint's network."""
 
 
-def trained_on(said: Any) -> Trained:
-    """What the JSON of `data` says of the observations."""
+def trained_on(said: Any, environment: Mapping[str, Any] | None = None) -> Trained:
+    """What the JSON of `data` says of the observations.
+
+    Where it does not say in which environment, `environment` says it.
+
+    Raises:
+        Refusal: It says another one.
+    """
     space = within(said, "observation_space")
     try:
         shape = tuple(map(int, space["_shape"]))
     except (ValueError, LookupError, TypeError):
-        return Trained()
-    where = space.get(TRAINED_IN)
+        return Trained(where=environment or {})
+    where = space.get(TRAINED_IN) or environment
+    if environment and where != environment:
+        name = within(where, "environment")
+        raise Refusal(f"was trained in {_OWN}{name} as it says; leave out --environment")
     return Trained(
         shape,
         _bounds(space, shape),
-        where if isinstance(where, dict) else {},
+        where if isinstance(where, Mapping) else {},
         # Off-policy algorithms have it without a VecNormalize, too.
         said.get("_last_original_obs") is not None,
         "replay_buffer_class" not in said,
@@ -125,9 +140,7 @@ def _bounds(space: Mapping[str, Any], shape: tuple[int, ...]) -> NDArray[np.floa
     return np.array(found)
 
 
-def input_of(
-    trained: Trained, asked: Neighbours | Kinematics | None, width: int, has_statistics: bool
-) -> Input:
+def input_of(trained: Trained, asked: Observed | None, width: int, has_statistics: bool) -> Input:
     """What the exported network receives, whose first layer takes `width` numbers.
 
     Args:
@@ -144,15 +157,15 @@ def input_of(
             f"{_words(asked)}; leave out --observation"
         )
     observation = observation or asked or neighbours
-    rows, columns = observation.shape
+    rows, columns = prod(observation.shape[:-1]), observation.shape[-1]
     size, shape = rows * columns, trained.shape
     frames, repeats, across = 1, False, False
-    if shape == (rows, columns) or shape == (size,) or not shape:
+    if shape in (observation.shape, (size,), ()):
         pass
-    elif shape[1:] in ((rows, columns), (size,)):
+    elif shape[1:] in (observation.shape, (size,)):
         frames, repeats = shape[0], True
-    elif len(shape) == 2 and shape[0] == rows and shape[1] % columns == 0:
-        frames, across = shape[1] // columns, True
+    elif shape[:-1] == observation.shape[:-1] and shape[-1] % columns == 0:
+        frames, across = shape[-1] // columns, True
     elif len(shape) == 1 and shape[0] % size == 0:
         raise Refusal(
             f"takes {shape[0]} numbers, like {shape[0] // size} flattened observations in an order "
@@ -168,7 +181,8 @@ def input_of(
     order = np.arange(width)
     if across:
         order = order.reshape(rows, frames, columns).transpose(1, 0, 2).ravel()
-    if trained.bounds is not None and not has_statistics:
+    has_bounds = not isinstance(observation, Interaction | HighwayEnv)
+    if trained.bounds is not None and has_bounds and not has_statistics:
         newest = trained.bounds.reshape(2, -1)[:, order[-size:]].reshape(2, rows, columns)
         _check_bounds(newest, observation)
     if not has_statistics and _is_normalised(trained, observation, order[-size]):
@@ -181,12 +195,14 @@ def input_of(
     return Input(observation, hz, Given(frames, repeats), order)
 
 
-def _is_normalised(trained: Trained, observation: Neighbours | Kinematics, place: int) -> bool:
+def _is_normalised(trained: Trained, observation: Observed, place: int) -> bool:
     """Whether a `VecNormalize` changed the observations.
 
     A vehicle's own presence, at this place, is 1 unless it was changed.
     """
-    has_presence = isinstance(observation, Neighbours) or observation.features[0] == "presence"
+    has_presence = isinstance(observation, Neighbours)
+    if isinstance(observation, Kinematics):
+        has_presence = observation.features[0] == "presence"
     if not trained.has_original:
         return False
     if trained.seen is None or not trained.seen.size or not has_presence:
@@ -194,26 +210,32 @@ def _is_normalised(trained: Trained, observation: Neighbours | Kinematics, place
     return bool((trained.seen[:, place] != 1).any())
 
 
-def _stated(where: Mapping[str, Any]) -> tuple[Neighbours | Kinematics | None, float | None]:
-    """The observation and the rate of charms-bench's environment; None for another one."""
+def _stated(where: Mapping[str, Any]) -> tuple[Observed | None, float | None]:
+    """The observation and the rate of an environment with a name; None if none is stated."""
     if "environment" not in where:
         return None, None
     name = str(where["environment"])[:80]
-    if name not in _STRAIGHT:
-        raise Refusal(
-            f"was trained in {_OWN}{name}; an agent of a suite has neither the observation nor the "
-            "target speeds of that environment, so it would drive differently"
-        )
+    if name not in (*_STRAIGHT, *OF_SUITES):
+        raise Refusal(f"was trained in {_OWN}{name}, on whose road suites have no episodes")
     try:
+        if name not in _STRAIGHT:
+            return _on_road(name, where), float(where["decision_hz"])
         speeds = json_of(str(where.get("action", "{}")).encode()).get("target_speeds")
         if speeds not in (None, _TARGET_SPEEDS_MPS):
             raise Refusal(f"was trained with the target speeds {speeds} m/s, which suites lack")
         observation, hz = observation_described(str(where["observation"])), where["decision_hz"]
-        if isinstance(observation, Interaction):
-            raise Refusal("observes interaction, of which only trainings of suites are exported")
         return observation, float(hz)
     except (InputError, LookupError, ValueError, TypeError, AttributeError) as error:
         raise Refusal(f"was trained on an observation that no agent receives: {error}") from error
+
+
+def _on_road(name: str, where: Mapping[str, Any]) -> HighwayEnv:
+    """The observation and the actions of an environment with highway-env's name."""
+    own = {key: json_of(str(where[key]).encode()) for key in ("observation", "action")}
+    space = Episodes(name, 1, own).observers[0].space
+    if space.dtype != np.float32:
+        raise Refusal("was trained on pictures; expected an observation with `as_image: false`")
+    return HighwayEnv(**own, shape=space.shape or ())
 
 
 def actions_of(trained: Trained) -> tuple[MetaAction, ...]:
@@ -228,7 +250,7 @@ def actions_of(trained: Trained) -> tuple[MetaAction, ...]:
         raise Refusal(f"was trained with meta-actions that cannot be read: {error}") from error
 
 
-def _check_bounds(bounds: NDArray[np.float64], observation: Neighbours | Kinematics) -> None:
+def _check_bounds(bounds: NDArray[np.float64], observation: Observed) -> None:
     """Refuses an observation (rows, columns) that does not have these bounds."""
     low, high = bounds
     if (np.abs(bounds) == 1).all() and (low < high).all():
@@ -256,7 +278,7 @@ def _check_bounds(bounds: NDArray[np.float64], observation: Neighbours | Kinemat
         )
 
 
-def _words(observation: Neighbours | Kinematics | None) -> str:
+def _words(observation: Observed | None) -> str:
     assert observation is not None
     options = observation.model_dump(mode="json", exclude_defaults=True)
     return json.dumps({"type": observation.name, **options}) if options else observation.name

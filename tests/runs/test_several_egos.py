@@ -1,0 +1,98 @@
+"""A road with several egos gives a row for each of them."""
+
+from io import BytesIO
+
+import numpy as np
+import polars as pl
+import pytest
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import InputError
+from charms_bench.metrics.collisions import OF_EGO
+from charms_bench.metrics.rows import sums_by_episode
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.roads.engine import RoadEngine
+from charms_bench.roads.settings import on_road
+from charms_bench.runs.runner import plan
+from charms_bench.runs.shard import simulate
+from charms_bench.runs.shard_rows import problem_between
+from charms_bench.runs.suite import Suite
+from charms_bench.statistics.intervals import estimate, wilson
+from charms_bench.world.named_road import NamedRoad
+from charms_bench.world.scenario import PRESCRIBED
+from charms_bench.world.scene import SceneSettings
+
+ROAD = "intersection-multi-agent-v1"
+FREE = {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0}
+FREE |= {"ego_control_rate": "simulation"}
+EPISODES = 4
+
+
+def driven(ego: int, traffic: str = PRESCRIBED) -> Simulation:
+    """Two scenes, not yet driven, whose rows are those of an ego."""
+    settings = SceneSettings.model_validate({"profile": FREE, "decision_hz": 1})
+    settings = on_road(settings, NamedRoad(name=ROAD))
+    agents = {"idm_mobil": make_agent("idm_mobil")}
+    simulation = Simulation(settings, 2, "idm_mobil", OneAgent(traffic), agents, RoadEngine)
+    simulation.engine.ego_index = ego
+    simulation.reset(np.arange(2, dtype=np.uint64))
+    return simulation
+
+
+def test_both_egos_are_in_the_same_episode() -> None:
+    one, other = driven(0), driven(1)
+    assert isinstance(one.engine, RoadEngine)
+    assert isinstance(other.engine, RoadEngine)
+    for _ in range(6):
+        tables = (each.engine.episodes.scenes.vehicles for each in (one, other))
+        here, there = (np.stack([table[name] for name in ("x", "y", "speed")]) for table in tables)
+        running = one.scene.active & other.scene.active
+        assert running.any()
+        np.testing.assert_array_equal(here[:, running, 2:], there[:, running, 2:])
+        np.testing.assert_array_equal(here[:, running, :2], there[:, running, 1::-1])
+        one.step()
+        other.step()
+
+
+def test_agents_in_the_traffic_are_rejected() -> None:
+    with pytest.raises(InputError, match="2 egos drive among the vehicles that the road has"):
+        driven(0, "idm_mobil")
+
+
+@pytest.fixture(scope="module")
+def rows() -> dict[str, pl.DataFrame]:
+    suite = {
+        "suite": "several",
+        "episodes": EPISODES,
+        "scene": {"duration_s": 8.0},
+        "egos": [{"agent": "idm_mobil"}],
+        "roads": [ROAD],
+    }
+    (task,) = plan(Suite.model_validate(suite), "batched").values()
+    return {kind: pl.read_parquet(BytesIO(data)) for kind, data in simulate(task).items()}
+
+
+def test_each_ego_has_a_row(rows: dict[str, pl.DataFrame]) -> None:
+    assert problem_between(rows) == ""
+    episodes = rows["episodes"].select("episode", "ego_index").rows()
+    assert episodes == [(k, ego) for k in range(EPISODES) for ego in range(2)]
+    starts = rows["steps"].filter(step=1).select("ego_index", "x").group_by("ego_index").len()
+    assert sorted(starts.rows()) == [(0, EPISODES), (1, EPISODES)]
+
+
+def test_sums_are_those_of_both_egos_by_episode(rows: dict[str, pl.DataFrame]) -> None:
+    of_all = (OF_EGO, rows["episodes"], rows["steps"], SceneSettings(decision_hz=3))
+    crashed = sums_by_episode(*of_all, rows["drivers"])[0]
+    has_crashed = rows["episodes"]["ending"].is_in(["rear_end", "side", "off_road"]).to_numpy()
+    assert crashed[:, 0].tolist() == [2.0] * EPISODES
+    assert crashed[:, 1].tolist() == has_crashed.reshape(EPISODES, 2).sum(axis=1).tolist()
+
+
+def test_intervals_are_those_of_episodes_whose_egos_crash_together() -> None:
+    # With both egos or none, 40 episodes say no more than 40 trials; of Student's t, a bit less.
+    both = np.repeat([[2.0, 2.0], [2.0, 0.0]], 20, axis=0)
+    (found,) = estimate(OF_EGO[:1], [both], seed=0)
+    low, high = wilson(20, 40)
+    assert found.value == 0.5
+    assert 0.9 * (high - low) < found.high - found.low < 1.2 * (high - low)
