@@ -11,6 +11,7 @@ from charms_bench.api.arguments import PathLike, asked, check_positive
 from charms_bench.api.warming import note_roads, warm_up
 from charms_bench.foundation.progress import note, progress
 from charms_bench.runs.lock import locked
+from charms_bench.world.named_road import DRAWN
 
 if TYPE_CHECKING:
     from charms_bench.report.table import Table
@@ -87,6 +88,10 @@ def rare(
     if loaded.scene.recording is not None:
         what = "rare draws where vehicles start, and recordings place them; remove it"
         raise document.error(("scene", "recording"), what)
+    for index, road in enumerate(loaded.roads):
+        if road.start != DRAWN:
+            what = "rare draws where vehicles start, and a recorded scene places them; remove it"
+            raise document.error(("roads", index), what)
     for index, entry in enumerate(loaded.traffics):
         if entry.traffic.scenario is not None:
             what = (

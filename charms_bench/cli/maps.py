@@ -63,7 +63,9 @@ def road(
         from charms_bench.report.figures.road_map import draw
 
         save(draw(found), figure)
-    facts = found.facts()
+    from charms_bench.roads.recorded_scenes import facts_of  # slow to import
+
+    facts = {**found.facts(), "recorded": facts_of(absolute(file))}
     if as_json:
         end_with_json(facts)
     records = [{"fact": fact, "found": value} for fact, value in _in_words(facts).items()]
@@ -121,6 +123,7 @@ def _in_words(facts: dict[str, Any]) -> dict[str, str]:
     conflicts = facts["crossing_conflicts"] + facts["merging_conflicts"]
     out = "; ".join(f"{count:,} {reason}" for reason, count in facts["left_out"].items())
     (x, right), (y, top) = facts["x_m"], facts["y_m"]
+    recorded = facts["recorded"]
     return {
         "format": facts["format"] or "road file",
         "traffic": f"on the {'left' if facts['left_hand_traffic'] else 'right'}",
@@ -140,4 +143,18 @@ def _in_words(facts: dict[str, Any]) -> dict[str, str]:
         "gaps bridged": f"{len(facts['gaps']):,}",
         "extent, m": f"x {x:.1f} to {right:.1f}, y {y:.1f} to {top:.1f}",
         "left out": out or "nothing",
+        **({} if recorded is None else {"recorded vehicles": _recorded_in_words(recorded)}),
     }
+
+
+def _recorded_in_words(facts: dict[str, Any]) -> str:
+    """What is recorded on the road of a file."""
+    beside = facts["states_beside_lanes"]
+    listed = ", ".join(f"{name} ({count})" for name, count in beside.items())
+    return (
+        f"{facts['vehicles']:,} in {facts['duration_s']:g} s at {facts['rate_hz']:g} Hz; "
+        f"{100 * facts['in_lane']:.1f} % of {facts['states']:,} states are in a lane"
+        + f", and not those of {listed}" * bool(beside)
+        + f"; {counted(facts['planning_problems'], 'planning problem')}"
+        + "".join(f"; left out: {count} {reason}" for reason, count in facts["left_out"].items())
+    )

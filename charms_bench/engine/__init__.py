@@ -25,6 +25,7 @@ from charms_bench.engine.stepping import BeforeMove
 from charms_bench.engine.views import Views
 from charms_bench.plugins.agent import DriverModel, Policy
 from charms_bench.world.actions import Actions, MetaAction
+from charms_bench.world.moments import Moments
 from charms_bench.world.plan import Plan
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
@@ -53,6 +54,9 @@ class Engine(Protocol):
     renewal_steps: int
     """After so many simulation steps each, a road lets vehicles enter and leave; 0 if never."""
 
+    moments: Moments | None
+    """The moments of a recorded scene on a road in a file; None if there are none."""
+
     @property
     def scene(self) -> Scene:
         """The scenes along the ways of their egos; to be asked for anew after a step."""
@@ -71,6 +75,12 @@ class Engine(Protocol):
             seeds: (R,) their seeds; a scene depends on its seed and the settings alone.
             agents: (R, N) the agent of the ego, then those of the other vehicles by their places.
             draws: (R, D) place the vehicles instead of the seeds; see `engine.draws`.
+        """
+
+    def settle(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+        """Takes over which vehicles of the scenes `rows` (R,) are there, and what drives them.
+
+        Both have been written into `state` and `drivers` while an episode lasts.
         """
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:

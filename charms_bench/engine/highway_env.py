@@ -418,7 +418,7 @@ class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
             self.heading, self.speed = float(self.put["heading"]), float(self.put["speed"])
             self.action = {"steering": 0.0, "acceleration": float(self.put["acceleration"])}
             self.on_state_update()
-            self.target_lane_index = (*self.lane_index[:2], int(self.put["lane"]))
+            self.target_lane_index = self.lane_index
             self.put = None
 
 

@@ -19,14 +19,14 @@ from charms_bench.engine.meta_actions import nearest_target_speed
 from charms_bench.engine.parameters import set_parameters
 from charms_bench.engine.running import RunningEpisodes
 from charms_bench.engine.source import Source
-from charms_bench.engine.state import vacate
 from charms_bench.engine.stepping import Put
 from charms_bench.errors import InputError
+from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import seeded
 from charms_bench.world.gaps import gap_to, requires_braking, side_gap
 from charms_bench.world.moments import Tracks, moments_of
-from charms_bench.world.road import closest_lane
+from charms_bench.world.road import closest_lane, heading_at, local_coordinates
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
@@ -67,7 +67,7 @@ class Recorded(Source):
                 "outside; expected an ego only"
             )
         shape = episodes.scene.x.shape
-        self._moments = moments_of(episodes.settings)
+        self._moments = episodes.engine.moments or moments_of(episodes.settings)
         self._played = Played(np.full(shape, -1), np.zeros(shape[0], np.int64), np.ones(shape[0]))
         self._models = [*episodes.models]
         self._followers = episodes.follow_recording
@@ -110,9 +110,9 @@ class Recorded(Source):
         """Has vehicles leave whose last frame is before the step's end."""
         episodes, put = self._episodes, self._put
         put.follows[:] = np.isin(episodes.engine.drivers, self._followers)
-        play(episodes.scene, self._played, self._moments.tracks, episodes.frames + 1, put)
+        play(episodes.engine.state, self._played, self._moments.tracks, episodes.frames + 1, put)
         if put.leaves.any():
-            episodes.scene.present[put.leaves] = False
+            episodes.engine.state.present[put.leaves] = False
             self._settle(np.nonzero(put.leaves.any(axis=1))[0])
 
     def before_move(self) -> Put:
@@ -124,7 +124,7 @@ class Recorded(Source):
         changed = np.zeros(self._episodes.seeds.size, dtype=np.bool_)
         if self._successor >= 0:
             changed |= self._hand_over()
-        active = np.nonzero(self._episodes.scene.active)[0]
+        active = np.nonzero(self._episodes.engine.state.active)[0]
         changed[active] |= self._appear(active, self._episodes.frames)
         if changed.any():
             self._settle(np.nonzero(changed)[0])
@@ -136,16 +136,13 @@ class Recorded(Source):
         follows, modelled = np.isin(drivers, self._followers), np.isin(drivers, self._models)
         seated = follows, modelled, np.isin(drivers, episodes.unrounded)
         return appear(
-            episodes.scene, self._played, tracks, rows, now, is_start, *seated, self._speeds
+            episodes.engine.state, self._played, tracks, rows, now, is_start, *seated, self._speeds
         )
 
     def _hand_over(self) -> Bools:
         """(B,) whether other drivers take over now, because the ego has deviated."""
-        episodes, scene, drivers = (
-            self._episodes,
-            self._episodes.scene,
-            self._episodes.engine.drivers,
-        )
+        episodes = self._episodes
+        scene, drivers = episodes.engine.state, episodes.engine.drivers
         taken = np.isin(drivers, self._followers)
         taken[episodes.ego_vehicles] = False
         away = distances_of_egos(scene, self._played, self._moments.tracks, self._episodes.frames)
@@ -163,9 +160,30 @@ class Recorded(Source):
     def _settle(self, rows: Ints) -> None:
         """Has the engine take over what has changed in the scenes `rows` (R,)."""
         episodes = self._episodes
-        vacate(episodes.scene, rows)
-        episodes.engine.restore(rows, episodes.seeds[rows])
+        episodes.engine.settle(rows, episodes.seeds[rows])
         set_parameters(episodes, rows)
+
+
+class RecordedOnRoad(Recorded):
+    """Vehicles of a recorded scene on its own road, which places them at the start."""
+
+    def __init__(self, episodes: RunningEpisodes) -> None:
+        super().__init__(episodes)
+        tracks, egos = self._moments.tracks, self._moments.vehicles[:, 0]
+        needs_ego = (
+            self._successor >= 0 or episodes.agents.index(episodes.ego_agent) in self._followers
+        )
+        if needs_ego and (tracks.first[egos] == tracks.last[egos]).any():
+            raise InputError(
+                f"{episodes.settings.network}: the vehicle of a planning problem is not recorded, "
+                "so it can neither drive as recorded nor deviate; expected another ego and other "
+                "traffic, or configuration.start: recorded"
+            )
+
+    def start(self, rows: Ints, seats: Ints, draws: Floats | None) -> None:
+        episodes = self._episodes
+        episodes.engine.reset(rows, episodes.seeds[rows], seats, draws)
+        self.resume(rows)
 
 
 @compiled
@@ -203,7 +221,6 @@ def play(scene: Scene, played: Played, tracks: Tracks, steps: Ints, put: Put) ->
             put.moves[b, i] = True
             put.x[b, i], put.y[b, i], put.heading[b, i], put.speed[b, i] = x, y, heading, speed
             put.acceleration[b, i] = (speed - scene.speed[b, i]) / dt
-            put.lane[b, i] = closest_lane(scene.road, x, y, heading)
 
 
 @compiled
@@ -238,12 +255,13 @@ def appear(
             if not is_new or at > tracks.last[track] + _ROUNDING:
                 continue
             x, y, heading, speed = interpolated(tracks, track, at)
-            if not is_start and not is_free(scene, b, i, x, y, speed, follows):
+            lane = closest_lane(scene.road, x, y, heading)
+            if not is_start and not is_free(scene, b, i, x, y, lane, speed, follows):
                 continue
             scene.x[b, i], scene.y[b, i], scene.heading[b, i] = x, y, heading
             scene.speed[b, i], scene.present[b, i] = speed, True
             scene.acceleration[b, i] = scene.steering[b, i] = 0.0
-            scene.target_lane[b, i] = closest_lane(scene.road, x, y, heading)
+            scene.target_lane[b, i] = lane
             wanted = tracks.fastest[track] if modelled[b, i] else speed
             if speeds.size and not unrounded[b, i]:
                 wanted = nearest_target_speed(speed, 0, speeds)
@@ -255,14 +273,20 @@ def appear(
 
 
 @compiled
-def is_free(scene: Scene, b: int, i: int, x: float, y: float, speed: float, follows: Bools) -> bool:
-    """Whether a vehicle can appear at a position; see the module."""
+def is_free(
+    scene: Scene, b: int, i: int, x: float, y: float, lane: int, speed: float, follows: Bools
+) -> bool:
+    """Whether a vehicle can appear at a position on a lane; see the module."""
+    s, _ = local_coordinates(scene.road, lane, x, y)
+    sine, cosine = maths.sin_cos(heading_at(scene.road, lane, s))
     for j in range(scene.x.shape[1]):
         if j == i or not scene.present[b, j] or (follows[b, i] and follows[b, j]):
             continue
-        if side_gap(y, scene.y[b, j], scene.width[b, i], scene.width[b, j]) > 0:
+        dx, dy = scene.x[b, j] - x, scene.y[b, j] - y
+        aside = dy * cosine - dx * sine
+        if side_gap(0.0, aside, scene.width[b, i], scene.width[b, j]) > 0:
             continue
-        distance = scene.x[b, j] - x
+        distance = dx * cosine + dy * sine
         is_ahead = distance > 0
         gap = gap_to(abs(distance), scene.length[b, i], scene.length[b, j])
         closing = speed - scene.speed[b, j] if is_ahead else scene.speed[b, j] - speed

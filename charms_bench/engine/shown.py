@@ -3,7 +3,12 @@
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.engine.state import vacate
 from charms_bench.engine.views import Views
+from charms_bench.world.moments import Moments
 from charms_bench.world.plan import Plan
 from charms_bench.world.scene import Ints, Scene, Vehicles
 
@@ -15,14 +20,20 @@ class Shown:
     """
 
     scene: Scene
+    restore: Any
     has_goal = False
     renewal_steps = 0
     egos = 1
     ego_index = 0
+    moments: Moments | None = None
 
     def renew(self, rows: Ints, agents: Ints) -> Vehicles:
         """None, since no road lets vehicles enter."""
         return rows[:0], rows[:0]
+
+    def settle(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+        vacate(self.scene, rows)
+        self.restore(rows, seeds)
 
     def check(self, state: Any) -> None:
         """Nothing is wrong, since the file of a state was checked."""

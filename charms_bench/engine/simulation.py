@@ -82,7 +82,7 @@ class Simulation(RunningEpisodes):
         seats[:, 0] = self.agents.index(self.ego_agent)
         seats[:, 1:] = self.seats_of(1, rows, self.settings.vehicles - 1)
         seats[:, : self.engine.egos] = seats[:, :1]
-        if self.settings.recording is None:
+        if not self.settings.is_recorded:
             for k in self.follow_recording:
                 if (seats == k).any():
                     raise InputError(

@@ -2,7 +2,7 @@
 
 from charms_bench.engine.crossing import Crossing
 from charms_bench.engine.open_road import Inflow
-from charms_bench.engine.playback import Recorded
+from charms_bench.engine.playback import Recorded, RecordedOnRoad
 from charms_bench.engine.prescribed import Placed
 from charms_bench.engine.running import RunningEpisodes
 from charms_bench.engine.source import Drawn, Source
@@ -20,6 +20,8 @@ def sources_of(episodes: RunningEpisodes) -> tuple[Source, ...]:
         return (Placed(episodes),)
     if settings.recording is not None:
         return (Recorded(episodes),)
+    if episodes.engine.moments is not None:
+        return (RecordedOnRoad(episodes), Crossing(episodes))
     if episodes.engine.renewal_steps:
         return (Drawn(episodes), Crossing(episodes))
     return (Drawn(episodes), Inflow(episodes)) if settings.inflow else (Drawn(episodes),)

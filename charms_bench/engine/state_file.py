@@ -60,7 +60,7 @@ def save_state(state: SceneState, path: str | Path) -> None:
         )
     if state.settings.scenario is not None:
         raise InputError(f"{path}: a state of a scenario stays in memory; expected drawn traffic")
-    if state.settings.recording is not None:
+    if state.settings.is_recorded:
         raise InputError(f"{path}: a state of a recorded scene stays in memory")
     road = state.settings.network
     fields: dict[str, Any] = {

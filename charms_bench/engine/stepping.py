@@ -10,7 +10,7 @@ Kernels are private to the harness; `tests/naive.py` holds plain versions of the
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from charms_bench.engine.motion import move, room_to_turn
 from charms_bench.engine.neighbours import find_neighbours, sort_by_x
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.world.scene import Bools, Floats, Ints, Scene
+from charms_bench.world.road import closest_lane
+from charms_bench.world.scene import Bools, Floats, Scene
 
 BLOCK_VEHICLES = 1024
 """Vehicles of a block, unless one scene has more."""
@@ -36,8 +37,6 @@ class Put(NamedTuple):
     heading: Floats
     speed: Floats
     acceleration: Floats
-    lane: Ints
-    """The nearest lane."""
     follows: Bools
     """Whether the vehicle follows a recording; two of these do not collide."""
     leaves: Bools
@@ -46,7 +45,7 @@ class Put(NamedTuple):
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> "Put":
         """No vehicle of scenes of this shape."""
-        kinds = {"lane": np.int64, **dict.fromkeys(("moves", "follows", "leaves"), np.bool_)}
+        kinds: dict[str, Any] = dict.fromkeys(("moves", "follows", "leaves"), np.bool_)
         return cls(**{name: np.zeros(shape, kinds.get(name, np.float64)) for name in cls._fields})
 
 
@@ -91,7 +90,8 @@ def put_vehicles(scene: Scene, first: int, after: int, put: Put) -> None:
             scene.acceleration[b, i], scene.steering[b, i] = put.acceleration[b, i], 0.0
             sine, cosine = maths.sin_cos(put.heading[b, i])
             scene.direction_y[b, i], scene.direction_x[b, i] = sine, cosine
-            scene.lane[b, i] = scene.target_lane[b, i] = put.lane[b, i]
+            lane = closest_lane(scene.road, put.x[b, i], put.y[b, i], put.heading[b, i])
+            scene.lane[b, i] = scene.target_lane[b, i] = lane
 
 
 @compiled

@@ -169,7 +169,7 @@ class _Chunk:
         # The last collision may be so late that 2 s after it the episode would be over. Recordings
         # decide how long an episode is, and the duration decides which recorded moments there are.
         more = {"duration_s": scene.duration_s + AFTERWARDS_S + 1 / scene.decision_hz}
-        self._settings = scene if scene.recording else scene.model_copy(update=more)
+        self._settings = scene if scene.is_recorded else scene.model_copy(update=more)
         self._simulation = partial(cell.simulation, settings=self._settings)
         self._last = np.array([each.steps.height for each in self._replays])
         frames = [int(each.crashed[:, each.ego].argmax()) for each in self._replays]

@@ -15,7 +15,8 @@ from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.rows import DRIFT_MPS, join_rows
 from charms_bench.recording.lane_changes import ATTEMPT_DECISIONS, is_given_up, taker_of
 from charms_bench.recording.primitives import NOBODY, VEHICLE
-from charms_bench.world.moments import moments_of
+from charms_bench.world.moments import Moments, moments_of
+from charms_bench.world.scene import SceneSettings
 
 CLOSE_M = 1.0
 """A vehicle this close is worth a word: those in the middle of neighbouring lanes of 4 m are 2 m
@@ -42,11 +43,19 @@ def what_happened(replay: Replay, kind: Kind | None = None, since: int = 1) -> s
     words, frame = _event(replay, kind, since)
     if frame is not None:
         words = f"{words}, at t = {replay.t_s[frame]:z.1f} s"
-    if replay.settings.recording is not None:
-        moments = moments_of(replay.settings)
+    if replay.settings.is_recorded:
+        moments = _moments_of(replay.settings)
         (number,) = moments.numbers_of(np.array([replay.episode], dtype=np.uint64))
         words = f"{words}; starts at {moments.names[number]}"
     return words
+
+
+def _moments_of(settings: SceneSettings) -> Moments:
+    if settings.network is None:
+        return moments_of(settings)
+    from charms_bench.roads.settings import moments_on  # slow to import
+
+    return moments_on(settings.network)
 
 
 def critical_time_s(replay: Replay, since: int = 1) -> float:

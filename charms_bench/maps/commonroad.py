@@ -1,7 +1,7 @@
 """Reads CommonRoad 2018b and 2020a [Althoff et al. 2017; commonroad.in.tum.de].
 
-Lanelets that are neighbours in the same direction are the lanes of a road. Vehicles and planning
-problems are not read.
+Lanelets that are neighbours in the same direction are the lanes of a road. `commonroad_scene` reads
+vehicles and planning problems.
 """
 
 from collections.abc import Iterator

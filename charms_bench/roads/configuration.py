@@ -14,11 +14,13 @@ from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.roads.scenes import Scenes
 from charms_bench.world.actions import ACTIONS, NAMES_BY_AXES
+from charms_bench.world.named_road import STARTS
 
 TYPES = ("IDMVehicle", "LinearVehicle", "AggressiveVehicle", "DefensiveVehicle")
 """highway-env's classes of the other vehicles."""
 _SUPPORTED: dict[str, tuple[Any, ...]] = {
     "manual_control": (False,),
+    "start": STARTS,
     "other_vehicles_type": tuple(f"highway_env.vehicle.behavior.{name}" for name in TYPES),
 }
 """The values of keys of which not all are supported."""

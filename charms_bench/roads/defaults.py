@@ -277,6 +277,7 @@ _FILE_ROAD = _COMMON | {
     "file": "",
     "sha256": "",
     "density": 10,
+    "start": "drawn",
     "controlled_vehicles": 1,
     "duration": 40,
     "policy_frequency": 5,

@@ -26,8 +26,9 @@ from charms_bench.engine.meta_actions import command, command_rule, nearest_targ
 from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.shown import Shown
 from charms_bench.engine.state import ARRAYS, SceneState
-from charms_bench.engine.stepping import BeforeMove
+from charms_bench.engine.stepping import BeforeMove, Put
 from charms_bench.errors import InputError
+from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import seeded, with_draws
@@ -38,7 +39,7 @@ from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.junctions import RoadJunctions
-from charms_bench.roads.locating import coordinates_of, forget
+from charms_bench.roads.locating import coordinates_of, forget, locate
 from charms_bench.roads.looking_ahead import look_ahead
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.plan import plan_of
@@ -47,6 +48,7 @@ from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
     KINDS,
+    NOTHING,
     OBSTACLE,
     ROUTE_STEPS,
     VEHICLE,
@@ -122,6 +124,8 @@ class RoadEngine(Shown):
         self.has_goal = task.has_goal
         if task.comes_and_goes:
             self.renewal_steps = round(hz / self.episodes.config["policy_frequency"])
+        self.moments = task.moments
+        self._followers = [k for k, model in models.items() if model.follows_recording]
         self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
         self._fault = Fault(scenes, on_network, task.ranks(on_network))
         self.measures: Mapping[str, Floats] = {
@@ -192,6 +196,10 @@ class RoadEngine(Shown):
             episodes.seed(rows, seeds)
         else:
             self._give(draws, rows, seeds)
+        if self.moments is not None:
+            numbers = np.zeros(self.goals.size, dtype=np.int64)
+            numbers[rows] = self.moments.numbers_of(seeds)
+            episodes.task.numbers = numbers
         episodes.start(rows)
         self._seat_ego(rows)
         is_configured = np.isin(agents[:, 0], list(self.configured))
@@ -202,8 +210,13 @@ class RoadEngine(Shown):
         self._ways.lanes[rows] = -1
         self._seat(rows)
         vehicles, kinds = episodes.scenes.vehicles, self._kinds
-        others = rows[~is_configured]
-        vehicles["target_speed"][others, : self.egos] = vehicles["speed"][others, : self.egos]
+        if self.moments is None:
+            others = rows[~is_configured]
+            vehicles["target_speed"][others, : self.egos] = vehicles["speed"][others, : self.egos]
+        else:
+            at_speed = kinds[rows] == BY_TARGETS
+            speed, target_speed = vehicles["speed"][rows], vehicles["target_speed"][rows]
+            vehicles["target_speed"][rows] = np.where(at_speed, speed, target_speed)
         for b, i in zip(*np.nonzero(kinds[rows] != BY_ENVIRONMENT), strict=True):
             self._aim((rows[b], i))
         for k, egos in self.configured.items():
@@ -260,6 +273,8 @@ class RoadEngine(Shown):
         """Gives a vehicle of an agent, which has just appeared, its first target speed."""
         target_speed = self.episodes.scenes.vehicles["target_speed"]
         kind = self._kinds[vehicle]
+        if self.drivers[vehicle] in self._followers:
+            return
         if kind == BY_CONTROLS:
             target_speed[vehicle] = 0.0
         elif kind == BY_TARGETS and (speeds := self._rule_of(vehicle).speeds).size:
@@ -270,13 +285,16 @@ class RoadEngine(Shown):
         vehicles, drivers = self.episodes.scenes.vehicles, self.drivers[rows]
         kinds = np.full(drivers.shape, BY_TARGETS)
         kinds[np.isin(drivers, list(self._models))] = BY_MODEL
-        kinds[np.isin(drivers, self._continuous)] = BY_CONTROLS
+        follows = np.isin(drivers, self._followers)
+        kinds[np.isin(drivers, self._continuous) | follows] = BY_CONTROLS
         kinds[np.isin(drivers, list(self.configured))] = BY_CONFIGURATION
         if (kinds[:, 1:] == BY_CONFIGURATION).any():
             raise InputError(f"{ONLY_EGOS}; let another agent drive the traffic")
         self._present[rows] = vehicles["kind"][rows] > OBSTACLE
         kinds[np.isin(drivers, self._prescribed) | ~self._present[rows]] = BY_ENVIRONMENT
         self._kinds[rows] = kinds
+        if self.moments is not None:
+            vehicles["checks_collisions"][rows] = ~follows
         vehicles["kind"][rows] = np.where(
             kinds == BY_ENVIRONMENT,
             vehicles["kind"][rows],
@@ -284,12 +302,34 @@ class RoadEngine(Shown):
         )
         for k, egos in self.configured.items():
             vehicles["kind"][rows[drivers[:, 0] == k], 0] = egos.kind
-        if self._views is self._seen and kinds[:, 1:].any():
+        if self._views is self._seen and (kinds * ~follows)[:, 1:].any():
             scenes, widths = self._seen, (self._seen.parameters, self._seen.memory)
             count = scenes.x.size
             self._views = Scene.empty(self._settings, count, *(each.shape[2] for each in widths))
             self._views.active[:] = True
             vars(self).pop("_shown_views", None)
+
+    def settle(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+        scenes, was_driven = self.episodes.scenes, self._kinds[rows]
+        vehicles, present = scenes.vehicles, self._present[rows]
+        has_left = (vehicles["kind"][rows] > OBSTACLE) & ~present
+        has_entered = (vehicles["kind"][rows] == NOTHING) & present
+        some, places = np.nonzero(has_left)
+        vehicles["kind"][rows[some], places] = NOTHING
+        if has_entered.any():
+            assert self.moments is not None
+            some, places = np.nonzero(has_entered)
+            numbers = self.moments.numbers_of(seeds)[some]
+            self.episodes.task.enter(scenes, (rows[some], places), numbers)
+        in_order = np.argsort(vehicles["kind"][rows] == NOTHING, axis=1, kind="stable")
+        scenes.order["place"][rows] = in_order
+        self._seat(rows)
+        self._moved[rows] = True
+        some, places = np.nonzero(has_left | has_entered)
+        self._ways.lanes[rows[some], places] = -1
+        some, places = np.nonzero(present & (self._kinds[rows] != was_driven))
+        for each in zip(rows[some], places, strict=True):
+            self._aim(each)
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
         self._show(rows[self._moved[rows]])  # which finds the ways, a part of the state
@@ -445,13 +485,16 @@ class RoadEngine(Shown):
         scene = self._seen
         rows = np.nonzero(scene.active)[0]
         for agent, model in self._models.items():
+            if model.follows_recording and self.moments is not None:
+                continue
             found = vehicles_of(agent, self.drivers, scene.active, self._present, scene.entry)
             for is_ego in (True, False):
                 some = np.nonzero((found[1] == 0) == is_ego)[0]
                 if some.size and not (is_ego and hold_egos):
                     self._drive(model, (found[0][some], found[1][some]))
+        put = None if self.moments is None or before_move is None else before_move()
         known = scene.unpacked, self._views.unpacked, self._ways.unpacked
-        advance(self.episodes.scenes, *known, rows, ~self._moved[rows], self._kinds)
+        advance(self.episodes.scenes, *known, rows, ~self._moved[rows], self._kinds, put)
         self._moved[rows] = True
         for egos in self.configured.values():
             egos.keeps[rows] = False
@@ -583,7 +626,14 @@ def packed(kind: np.dtype[Any]) -> np.dtype[Any]:
 
 @compiled_of_scenes
 def advance(
-    scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, told: Bools, kinds: Ints
+    scenes: Scenes,
+    shown: Any,
+    views: Any,
+    ways: Any,
+    rows: Ints,
+    told: Bools,
+    kinds: Ints,
+    put: Put | None,
 ) -> None:
     """One simulation step of the scenes `rows`, after the agents have answered.
 
@@ -595,6 +645,7 @@ def advance(
         rows: (R,) the scenes to advance.
         told: (R,) whether `shown` is the present moment; if not, the ego goes on as it did.
         kinds: (B, N) what drives the vehicles.
+        put: Where the step ends for vehicles that follow a recording; None if there are none.
     """
     profile = shown.scene.constants
     can_reverse = profile.can_reverse and profile.speed_min < 0.0
@@ -630,6 +681,8 @@ def advance(
             if scenes.steps[b] % here.constants.regulation_steps == 0:
                 enforce(scenes.road, here)
         move_all(here)
+        if put is not None:
+            put_vehicles(here, b, put)
         for i in range(here.places):
             vehicle = vehicle_of(here, i)
             if kinds[b, i] == BY_ENVIRONMENT:
@@ -640,6 +693,20 @@ def advance(
             vehicle.timer_s += here.constants.dt
             find_way(scenes, b, i, known)
         collide(here)
+
+
+@compiled
+def put_vehicles(here: Here, b: int, put: Put) -> None:
+    """Puts the vehicles of scene b that follow a recording where they are to be."""
+    for i in range(here.places):
+        if put.moves[b, i]:
+            vehicle = vehicle_of(here, i)
+            vehicle.x, vehicle.y, vehicle.heading = put.x[b, i], put.y[b, i], put.heading[b, i]
+            vehicle.speed, vehicle.acceleration = put.speed[b, i], put.acceleration[b, i]
+            vehicle.direction_y, vehicle.direction_x = maths.sin_cos(vehicle.heading)
+            vehicle.steering = 0.0
+            locate(here, i)
+            vehicle.target_lane = vehicle.lane
 
 
 @compiled

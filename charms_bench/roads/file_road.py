@@ -36,6 +36,7 @@ from charms_bench.roads.layout import Edge
 from charms_bench.roads.locating import forget, locate
 from charms_bench.roads.looking_ahead import BRAKING_MPS2, speed_ahead
 from charms_bench.roads.map_lanes import driven_lanes, levels_of, map_of
+from charms_bench.roads.recorded_scenes import enter, on_road, put_recorded, scene_of
 from charms_bench.roads.routes import Routes, plan_way, routes_of
 from charms_bench.roads.scenes import (
     COMMANDED,
@@ -47,9 +48,12 @@ from charms_bench.roads.scenes import (
     here_of,
     index_of,
     place_near,
+    tidy,
 )
 from charms_bench.roads.task import Task, draw_behaviour
+from charms_bench.world.named_road import DRAWN
 from charms_bench.world.road import heading_at, local_coordinates, position, width_at
+from charms_bench.world.scene import Vehicles
 
 MOST_VEHICLES = 2000
 NEAREST_M = 100.0
@@ -78,6 +82,8 @@ class Rule(NamedTuple):
     interval: float
     """Between decisions, s."""
     duration: float
+    entering_draws: int
+    """How often a vehicle that comes back draws a place; 0 if none does."""
 
 
 class Places(NamedTuple):
@@ -138,7 +144,18 @@ class FileRoad(Task):
         self._lights = _lights(self.map, indices)
         firsts = np.unique(road.lanes["first"])
         outside = firsts[~is_inside[firsts]]
-        self.routes = routes_of(road, links, outside if outside.size else firsts)
+        goals = outside if outside.size else firsts
+        self._recorded = None
+        if config["start"] != DRAWN:
+            scene = scene_of(Path(config["file"]), config["sha256"])
+            if scene is None:
+                what = "has no recorded vehicles; expected a CommonRoad scenario, or 'drawn'"
+                raise InputError(f"config.start: {config['file']} {what}")
+            self._recorded = on_road(scene, road, config["start"], self.duration, links)
+            self.moments, self.duration = self._recorded.moments, self._recorded.duration
+            used = np.concatenate([self._recorded.goals.lane, self._recorded.goals.ego_lane])
+            goals = np.union1d(goals, road.lanes["first"][used[used >= 0]])
+        self.routes = routes_of(road, links, goals)
         flat = [after for each in links for after in each]
         self._links = np.array(flat, dtype=np.int64)
         self._ends = np.cumsum([len(each) for each in links])
@@ -153,7 +170,11 @@ class FileRoad(Task):
                 f"expected 0 to {MOST_VEHICLES:,}"
             )
         self.vehicles = self.egos + count
-        self._rule = Rule(self.egos, 1 / config["policy_frequency"], min(self.duration, 1e4))
+        if self.moments is not None:
+            self.vehicles = self.moments.vehicles.shape[1]
+        draws = ENTERING_DRAWS if self.moments is None else 0
+        interval, duration = 1 / config["policy_frequency"], min(self.duration, 1e4)
+        self._rule = Rule(self.egos, interval, duration, draws)
         self.happened = np.zeros((0, 0), dtype=np.int64)
         """(B, N) what happened to each vehicle after the last decision; 0 is nothing."""
 
@@ -161,8 +182,16 @@ class FileRoad(Task):
         return driven_lanes(self.map)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
-        _start(scenes, rows, self._rule, self._everywhere, self.routes, self._inside)
+        if self._recorded is None:
+            _start(scenes, rows, self._rule, self._everywhere, self.routes, self._inside)
+        else:
+            numbers = np.zeros_like(rows) if self.numbers is None else self.numbers[rows]
+            put_recorded(scenes, rows, numbers, self._recorded, self.routes)
         self._regulate(scenes, rows)
+
+    def enter(self, scenes: Scenes, vehicles: Vehicles, numbers: Ints) -> None:
+        assert self._recorded is not None
+        enter(scenes, vehicles, numbers, self._recorded, self.routes)
 
     def release_egos(self, scenes: Scenes) -> None:
         """Makes the egos vehicles like the others, for a road without an ego."""
@@ -377,17 +406,6 @@ def own_goal(routes: Routes, first: int) -> int:
     return -1
 
 
-@compiled
-def tidy(scenes: Scenes, b: int) -> None:
-    """Puts the places with nothing to the end of the order of a scene."""
-    places, kept = scenes.vehicles.shape[1], 0
-    for is_nothing in (False, True):
-        for i in range(places):
-            if (scenes.vehicles[b, i].kind == NOTHING) == is_nothing:
-                scenes.order[b, kept].place = i
-                kept += 1
-
-
 @compiled_of_scenes
 def _follow(
     scenes: Scenes,
@@ -408,7 +426,7 @@ def _follow(
             forget(here, i)
             vehicle = scenes.vehicles[b, i]
             happened[b, i] = 0
-            if i >= rule.egos and vehicle.kind > OBSTACLE:
+            if i >= rule.egos and vehicle.kind > OBSTACLE and vehicle.checks_collisions:
                 happened[b, i] = fate(scenes, b, i, rule)
                 if happened[b, i] > 0:
                     vehicle.kind, has_changed = NOTHING, True
@@ -417,7 +435,7 @@ def _follow(
         for i in range(rule.egos, here.places):
             if scenes.vehicles[b, i].kind != NOTHING:
                 continue
-            for _ in range(ENTERING_DRAWS):
+            for _ in range(rule.entering_draws):
                 lane = draw_lane(scenes.generator[b], starts)
                 length = scenes.road.lanes[lane].length
                 s = min(ENTRY_M, length)

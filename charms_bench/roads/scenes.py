@@ -474,3 +474,14 @@ def put_on_lane(
     """Puts a vehicle at a place of scene b, in the middle of a lane."""
     x, y = position(scenes.road, lane, s, 0.0)
     place(scenes, b, i, kind, x, y, heading, speed)
+
+
+@compiled
+def tidy(scenes: Scenes, b: int) -> None:
+    """Puts the places with nothing to the end of the order of a scene."""
+    places, kept = scenes.vehicles.shape[1], 0
+    for is_nothing in (False, True):
+        for i in range(places):
+            if (scenes.vehicles[b, i].kind == NOTHING) == is_nothing:
+                scenes.order[b, kept].place = i
+                kept += 1

@@ -14,6 +14,7 @@ from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.highway_env_observation import HighwayEnv
 from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.moments import Moments
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.observations import observation_of
 from charms_bench.world.profile import Profile
@@ -58,6 +59,10 @@ class _Road(NamedTuple):
     """The speed of the ego at the start, m/s."""
     others_speed: float
     """The lowest target speed of another vehicle at the start of episode 0, m/s."""
+    duration: float
+    """Of an episode, at most, s; infinite if highway-env truncates none."""
+    moments: Moments | None
+    """Of a recorded scene."""
 
 
 def _check(road: NamedRoad) -> None:
@@ -94,7 +99,8 @@ def _road(road: NamedRoad) -> _Road:
     speed = scenes.vehicles["speed"][0, 0]
     width = scenes.road.lanes["width"][scenes.vehicles["lane"][0, 0]]
     places = scenes.vehicles.shape[1]
-    return _Road(places, lanes, float(width), float(speed), float(slowest))
+    task, numbers = episodes.task, (float(width), float(speed), float(slowest))
+    return _Road(places, lanes, *numbers, task.duration, task.moments)
 
 
 def on_road(
@@ -123,10 +129,26 @@ def on_road(
             )
     changes = {"network": road, "lanes": found.lanes, "traffic_vehicles": found.places - 1}
     changes |= {"duration_s": duration_s, "ego_slots": 1}
+    if found.moments is not None:
+        decisions = math.floor(found.duration * settings.decision_hz + 1e-9)
+        if decisions < 1:
+            raise InputError(
+                f"the road '{road}': its scene of {found.duration:g} s is shorter than a decision; "
+                "give a higher scene.decision_hz"
+            )
+        # The sum of the intervals may be less than their product.
+        changes["duration_s"] = decisions / settings.decision_hz - 1e-6
     if found.lane_width != settings.profile.lane_width_m:
         width = {"lane_width_m": found.lane_width}
         changes["profile"] = settings.profile.model_copy(update=width)
     return settings.model_copy(update=changes)
+
+
+def moments_on(road: NamedRoad) -> Moments:
+    """The moments at which episodes start in the recorded scene of a road."""
+    found = _road(road).moments
+    assert found is not None
+    return found
 
 
 def problem_of_driver(agent: Agent, is_ego: bool = True) -> str:

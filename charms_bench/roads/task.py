@@ -13,7 +13,9 @@ from charms_bench.foundation.generator import random, uniform
 from charms_bench.roads.fault import ranks_of
 from charms_bench.roads.layout import Edge, Layout, RoadObject
 from charms_bench.roads.scenes import COMMANDED, GAINS, Row, Scenes
+from charms_bench.world.moments import Moments
 from charms_bench.world.road import is_on_lane
+from charms_bench.world.scene import Vehicles
 
 ACTIONS = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
 
@@ -52,6 +54,10 @@ class Task(ABC):
     """Whether highway-env has a reward and an ending of each of them."""
     vehicles: int
     """The most vehicles of a scene, with the egos."""
+    numbers: Ints | None = None
+    """(B,) those at which the next episodes start; by default, all start at the first."""
+    moments: Moments | None = None
+    """The moments of a recorded scene at which episodes start; None if vehicles are placed."""
     objects: Sequence[RoadObject] = ()
     """What stands on the road, in highway-env's order [`Road.objects`]."""
 
@@ -73,6 +79,10 @@ class Task(ABC):
     @abstractmethod
     def start(self, scenes: Scenes, rows: Ints) -> None:
         """Places the vehicles of new episodes by the scenes' random generators."""
+
+    def enter(self, scenes: Scenes, vehicles: Vehicles, numbers: Ints) -> None:
+        """Completes M recorded vehicles that appear after the start of moments `numbers` (M,)."""
+        raise NotImplementedError
 
     def prepare(self, scenes: Scenes, rows: Ints) -> None:  # noqa: B027  # most do nothing
         """Does what comes before the actions of a decision."""

@@ -278,11 +278,12 @@ def plan_cell(
     if folder is not None:
         networks = {name: folder.network(name) or path for name, path in networks.items()}
     software = installed(ego, traffic, networks, cell.road is not None)
-    for each in drivers_of(ego, traffic_of(traffic)) if cell.scene.recording is None else ():
+    for each in drivers_of(ego, traffic_of(traffic)) if not cell.scene.is_recorded else ():
         if getattr(agent_of(each, networks), "follows_recording", False):
             raise SuiteError(
                 f"suite '{suite.suite}': {cell.title}: agent '{each.key}' drives as recorded; "
-                "give the suite recordings with scene.recording"
+                "give the suite recordings with scene.recording, or the road a recorded scene with "
+                "configuration.start"
             )
     if cell.scene.network is not None:
         _check_road(suite, cell, engine, networks)

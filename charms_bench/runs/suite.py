@@ -32,7 +32,7 @@ from charms_bench.runs.cells import title_of
 from charms_bench.runs.document import Document, Location
 from charms_bench.runs.suite_roads import RoadEntry, refuse_roads_of_traffic, with_defaults_of_roads
 from charms_bench.world.moments import RecordedScene, moments_of
-from charms_bench.world.named_road import ENVIRONMENT
+from charms_bench.world.named_road import DRAWN, ENVIRONMENT
 from charms_bench.world.placement import driver_parameters, place
 from charms_bench.world.scenario import PRESCRIBED, Scenario
 from charms_bench.world.scene import EVALUATION_SEEDS, Ints, SceneSettings
@@ -356,9 +356,26 @@ def suite_of(document: Document) -> Suite:
         if suite.episodes > count:
             what = f"the recordings have {count:,} moments; expected at most as many episodes"
             raise document.error(("episodes",), what)
+    for index, road in enumerate(suite.roads):
+        _check_moments(document, index, suite, road)
     for index, metric in enumerate(suite.columns):
         _check_metric(document, ("columns", index), metric, suite.metric_sets)
     return suite
+
+
+def _check_moments(document: Document, index: int, suite: Suite, road: RoadEntry) -> None:
+    """Raises a `SuiteError` if a recorded scene has fewer moments than the suite has episodes."""
+    if road.start == DRAWN:
+        return
+    from charms_bench.roads.settings import moments_on  # slow to import
+
+    cell = next(each for each in suite.cells if each.road == road)
+    assert cell.scene.network is not None
+    moments = moments_on(cell.scene.network)
+    if suite.episodes > len(moments):
+        what = f"the scene has {counted(len(moments), 'moment')} at which an episode can start; "
+        what += f"expected at most as many episodes, found {suite.episodes:,}"
+        raise document.error(("roads", index), what)
 
 
 def check_placement(

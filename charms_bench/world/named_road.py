@@ -15,6 +15,8 @@ ENVIRONMENT = "environment"
 """The traffic model of the vehicles that a road has itself."""
 FILE_ROAD = "road-file"
 """The environment of all roads in files."""
+DRAWN, RECORDED, PLANNING_PROBLEM = STARTS = ("drawn", "recorded", "planning_problem")
+"""Where the vehicles of a road in a file are at the start of an episode."""
 
 
 def hash_of(path: Path) -> str:
@@ -62,6 +64,11 @@ class NamedRoad(FrozenModel):
 
     def __hash__(self) -> int:
         return hash((self.name, self.sha256, json.dumps(self.configuration, sort_keys=True)))
+
+    @property
+    def start(self) -> str:
+        """One of `STARTS`."""
+        return str((self.configuration or {}).get("start", DRAWN))
 
     @property
     def environment(self) -> str:

@@ -53,8 +53,8 @@ def _in_tables(paths: Sequence[Path], place: Path) -> list[Trio]:
     found = [path for path in paths if path.suffix == ".csv" and is_ngsim(path)]
     if not found and any(path.suffix == ".xml" for path in paths):
         raise DataError(
-            f"{place}: CommonRoad scenarios are not read; commonroad-io reads them, and "
-            "commonroad-dataset-converter makes such files of highD"
+            f"{place}: CommonRoad scenarios are not read as recordings; give each as one of the "
+            "suite's `roads`, {file: ..., configuration: {start: recorded}}"
         )
     if not found:
         raise DataError(

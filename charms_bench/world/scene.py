@@ -30,7 +30,7 @@ from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
 from charms_bench.world.candidate_lanes import CANDIDATES, neighbours_on
 from charms_bench.world.gaps import gap_to
-from charms_bench.world.named_road import NamedRoad
+from charms_bench.world.named_road import DRAWN, NamedRoad
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, Profile
 from charms_bench.world.recordings import RecordedMoments
 from charms_bench.world.road import Straight, distance_along
@@ -223,6 +223,12 @@ class SceneSettings(FrozenModel):
         changes |= {"vehicle_types": (), "ego_type": None, "inflow": None}
         return self.model_copy(update=changes)
 
+    @property
+    def is_recorded(self) -> bool:
+        """Whether vehicles start where they were recorded."""
+        starts_recorded = self.network is not None and self.network.start != DRAWN
+        return self.recording is not None or starts_recorded
+
     def check_straight(self, what: str) -> None:
         """Raises an `InputError` on a road of highway-env, where something is not possible."""
         if self.network is not None:
@@ -259,7 +265,7 @@ class SceneSettings(FrozenModel):
             )
         bounds = zip(LENGTHS_M, WIDTHS_M, strict=True)
         has_bounds = self.scenario is not None and self.scenario.has_sizes
-        has_bounds |= self.recording is not None
+        has_bounds |= self.is_recorded
         return [*own, (length, width), *(bounds if has_bounds else ())]
 
     @property

@@ -18,7 +18,7 @@ def test_the_page_leads_from_a_map_to_a_table_and_a_film(
 ) -> None:
     (tmp_path / "docs").mkdir()
     shutil.copy(ROOT / "docs" / "ramp.xodr", tmp_path / "docs")
-    (suite,) = (block.text for block in blocks(PAGE) if block.language == "yaml")
+    suite, _ = (block.text for block in blocks(PAGE) if block.language == "yaml")
     (tmp_path / "my-road.yaml").write_text(suite, encoding="utf-8")
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     environment = {**os.environ, "PATH": path, "COLUMNS": "100"}

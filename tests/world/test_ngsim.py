@@ -87,7 +87,7 @@ def test_two_places_in_one_table_are_named(tmp_path: Path) -> None:
 
 def test_commonroad_and_others_are_named(tmp_path: Path) -> None:
     (tmp_path / "USA_Peach-1.xml").write_text("<commonRoad/>")
-    with pytest.raises(DataError, match="CommonRoad scenarios are not read; commonroad-io reads"):
+    with pytest.raises(DataError, match="CommonRoad scenarios are not read as recordings; give"):
         find_trios(tmp_path)
     with pytest.raises(DataError, match="CommonRoad scenarios are not read"):
         find_trios(tmp_path / "USA_Peach-1.xml")

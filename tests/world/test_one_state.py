@@ -21,6 +21,7 @@ REASONS = {
     "runs/shard_rows.py: _WITHOUT_NULL": "which of their columns are always there",
     "episodes/replay.py: TRAJECTORY_SCHEMA": "the rows of a replay",
     "world/moments.py: Tracks": "recorded vehicles",
+    "maps/commonroad_scene.py: Problem": "a vehicle that a file describes without a recording",
     "world/tracks.py: Motion": "what a replay keeps of all moments",
     "testing/map_parity.py: vehicle": "highway-env's vehicle that is compared",
     "world/plan.py: Plan": "what a picture of a network shows",
