@@ -48,6 +48,8 @@ class Engine(Protocol):
     """Whether the road has one."""
     renewal_steps: int
     """After so many simulation steps each, a road lets vehicles enter and leave; 0 if never."""
+    arrivals: int
+    """So many vehicles at most enter at random by `scene.inflow`."""
 
     @property
     def scene(self) -> Scene:
@@ -87,10 +89,11 @@ class Engine(Protocol):
         arrays that follow from positions and headings are found.
         """
 
-    def renew(self, rows: Ints, agents: Ints) -> Vehicles:
-        """Lets vehicles leave the scenes `rows` (R,), and at most one enter each; returns those.
+    def renew(self, rows: Ints, agents: Ints, times_s: Floats) -> Vehicles:
+        """Lets vehicles leave and enter the scenes `rows` (R,), and returns those that enter.
 
-        They are driven by the `agents` (R,), as indices.
+        They are numbered in the order of entry. Their drivers are the `agents` (R, A), as indices,
+        in this order, and then again from the first on. `times_s` (R,) have passed since the start.
         """
 
     def plan(self, row: int) -> Plan | None:

@@ -5,7 +5,7 @@ from typing import Any
 
 from charms_bench.engine.views import Views
 from charms_bench.world.plan import Plan
-from charms_bench.world.scene import Ints, Scene, Vehicles
+from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 
 class Shown:
@@ -16,9 +16,9 @@ class Shown:
 
     scene: Scene
     has_goal = False
-    renewal_steps = 0
+    renewal_steps = arrivals = 0
 
-    def renew(self, rows: Ints, agents: Ints) -> Vehicles:
+    def renew(self, rows: Ints, agents: Ints, times_s: Floats) -> Vehicles:
         """None, since no road lets vehicles enter."""
         return rows[:0], rows[:0]
 

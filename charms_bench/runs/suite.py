@@ -334,7 +334,10 @@ def suite_of(document: Document) -> Suite:
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
     for index, road in enumerate(suite.roads):
+        from charms_bench.roads.settings import refuse_of_straight_roads  # slow to import
+
         try:
+            refuse_of_straight_roads(road.road, suite.scene.model_fields_set)
             suite._scene_of(Surroundings(road, suite.traffics[0]))
         except InputError as error:
             raise document.error(("roads", index), str(error)) from error
