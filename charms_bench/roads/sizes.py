@@ -20,7 +20,8 @@ def set_types(
 ) -> None:
     """Gives new vehicles the sizes and the desired speeds of their types.
 
-    A vehicle other than the ego that has no room then is taken out; see `room`.
+    One that comes later is not faster than its desired speed. A vehicle other than the ego that has
+    no room then is taken out; see `room`.
 
     Args:
         scenes: The scenes.
@@ -35,11 +36,13 @@ def set_types(
     is_ego = np.broadcast_to(np.arange(table.shape[1]) == 0, entry.shape)
     desired, length, width = draw_vehicles(settings, seeds, entry, is_ego)
     wants = is_new & ~np.isnan(desired)
+    comes = wants & (entry >= table.shape[1])
     for name, values, where in (
         ("length", length, is_new),
         ("width", width, is_new),
         ("desired_speed", np.where(wants, desired, ANY_SPEED_MPS), is_new),
         ("target_speed", desired, wants & ~table["is_yielding"][rows]),
+        ("speed", np.fmin(desired, table["speed"][rows]), comes),
     ):
         table[name][rows] = np.where(where, values, table[name][rows])
     take_out_crowded(scenes, rows, is_new & ~is_ego)
