@@ -53,6 +53,8 @@ class Engine(Protocol):
     """Which of them is the ego of the next episodes, the vehicle at place 0."""
     renewal_steps: int
     """After so many simulation steps each, a road lets vehicles enter and leave; 0 if never."""
+    arrivals: int
+    """So many vehicles at most enter at random by `scene.inflow`."""
 
     moments: Moments | None
     """The moments of a recorded scene on a road in a file; None if there are none."""
@@ -101,10 +103,11 @@ class Engine(Protocol):
         arrays that follow from positions and headings are found.
         """
 
-    def renew(self, rows: Ints, agents: Ints) -> Vehicles:
-        """Lets vehicles leave the scenes `rows` (R,), and at most one enter each; returns those.
+    def renew(self, rows: Ints, agents: Ints, times_s: Floats) -> Vehicles:
+        """Lets vehicles leave and enter the scenes `rows` (R,), and returns those that enter.
 
-        They are driven by the `agents` (R,), as indices.
+        They are numbered in the order of entry. Their drivers are the `agents` (R, A), as indices,
+        in this order, and then again from the first on. `times_s` (R,) have passed since the start.
         """
 
     def plan(self, row: int) -> Plan | None:

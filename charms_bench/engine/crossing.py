@@ -15,8 +15,9 @@ class Crossing(Source):
 
     def __init__(self, episodes: RunningEpisodes) -> None:
         super().__init__(episodes)
-        self._agents = np.zeros((episodes.seeds.size, episodes.settings.vehicles), dtype=np.int64)
-        """[B, N] the agents of the vehicles that enter, in their order."""
+        count = max(episodes.settings.vehicles, episodes.engine.arrivals)
+        self._agents = np.zeros((episodes.seeds.size, count), dtype=np.int64)
+        """[B, A] the agents of the vehicles that enter, in their order."""
 
     def start(self, rows: Ints, seats: Ints, draws: Floats | None) -> None:
         self.resume(rows)
@@ -30,15 +31,14 @@ class Crossing(Source):
         """Lets vehicles leave and enter in every so manieth simulation step."""
         episodes = self._episodes
         engine, state = episodes.engine, episodes.engine.state
-        rows = np.nonzero(state.active & (episodes.frames % engine.renewal_steps == 0))[0]
+        frames = episodes.frames
+        rows = np.nonzero(state.active & (frames % engine.renewal_steps == 0))[0]
         if not rows.size:
             return
-        vehicles = episodes.settings.vehicles
-        have_entered = state.entry[rows].max(axis=1) + 1 - vehicles
-        entered = engine.renew(rows, self._agents[rows, have_entered % vehicles])
+        times_s = frames[rows] / episodes.settings.simulation_hz
+        entered = engine.renew(rows, self._agents[rows], times_s)
         if not entered[0].size:
             return
-        state.entry[entered] = state.entry[entered[0]].max(axis=1) + 1
         state.memory[entered], state.repeats[entered] = 0.0, 0
         episodes.has_action[entered], episodes.collision[entered] = False, NO_COLLISION
         set_parameters(episodes, *entered)

@@ -10,7 +10,7 @@ from charms_bench.engine.state import vacate
 from charms_bench.engine.views import Views
 from charms_bench.world.moments import Moments
 from charms_bench.world.plan import Plan
-from charms_bench.world.scene import Ints, Scene, Vehicles
+from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 
 class Shown:
@@ -22,12 +22,12 @@ class Shown:
     scene: Scene
     restore: Any
     has_goal = False
-    renewal_steps = 0
+    renewal_steps = arrivals = 0
     egos = 1
     ego_index = 0
     moments: Moments | None = None
 
-    def renew(self, rows: Ints, agents: Ints) -> Vehicles:
+    def renew(self, rows: Ints, agents: Ints, times_s: Floats) -> Vehicles:
         """None, since no road lets vehicles enter."""
         return rows[:0], rows[:0]
 

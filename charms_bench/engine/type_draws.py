@@ -19,9 +19,9 @@ def draw_types(
     """Draws the types (R, M) of M vehicles in each of R scenes, and the places in their ranges.
 
     A type is an index into `vehicle_types`; the index after the last stands for the profile's
-    vehicle, which vehicles are that enter later without an inflow. The second array (R, M, 3) has
-    independent numbers in [0, 1) for the quantities `OF_VEHICLES`. `entry` (R, M) are those of the
-    scene.
+    vehicle, which vehicles are that enter a straight road later without an inflow. The second array
+    (R, M, 3) has independent numbers in [0, 1) for the quantities `OF_VEHICLES`. `entry` (R, M) are
+    those of the scene.
     """
     types, vehicles = settings.vehicle_types, settings.vehicles
     kinds, shares = np.full(entry.shape, len(types)), np.zeros((*entry.shape, len(OF_VEHICLES)))
@@ -35,7 +35,7 @@ def draw_types(
         kinds[r, at_start] = drawn[entry[r, at_start]]
         for k in range(len(OF_VEHICLES)):
             shares[r, at_start, k] = rng.random(vehicles)[entry[r, at_start]]
-        for m in np.nonzero(~at_start)[0] if settings.inflow else ():
+        for m in np.nonzero(~at_start)[0] if settings.inflow or settings.network else ():
             rng = np.random.default_rng([int(seed), _STREAM, int(entry[r, m])])
             kinds[r, m] = np.searchsorted(ends, rng.random(), side="right")
             shares[r, m] = rng.random(len(OF_VEHICLES))

@@ -150,10 +150,19 @@ def surroundings(
             spec = TrafficSpec.model_validate(traffic)
             settings, traffic = settings.of_scenario(spec.scenario), spec.make()
         if road is not None:
-            from charms_bench.roads.settings import on_road  # slow to import
+            from charms_bench.roads.settings import (  # slow to import
+                on_road,
+                refuse_of_straight_roads,
+            )
 
-            given = {"name": road} if isinstance(road, str) else road
-            settings = on_road(settings, NamedRoad.model_validate(given))
+            if settings.scenario is not None:
+                raise InputError(
+                    f"{environment}: traffic: a scenario places vehicles on the straight road; "
+                    "remove the road"
+                )
+            named = NamedRoad.model_validate({"name": road} if isinstance(road, str) else road)
+            refuse_of_straight_roads(named, plain)
+            settings = on_road(settings, named)
         elif traffic == ENVIRONMENT:
             raise InputError(f"{environment}: traffic: '{ENVIRONMENT}' needs scene={{'road': ...}}")
     except ValidationError as error:

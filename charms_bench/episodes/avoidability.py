@@ -291,7 +291,7 @@ class _Chunk:
 
     def _number(self, state: SceneState, place: int) -> int:
         """The index of the vehicle at a place in the order in which vehicles appear."""
-        inflow, number = self._settings.inflow, int(state.entry[0, place])
+        inflow, number = self._settings.straight_inflow, int(state.entry[0, place])
         if inflow is None:
             return int(place)
         return number - (number > self._settings.traffic_vehicles) * inflow.capacity

@@ -196,7 +196,7 @@ def simulate(
         length = int(simulation.steps[b]) * interval + 1
         arrays = {k: np.stack([frame[k][place] for frame in frames[:length]]) for k in frames[0]}
         ego = int(simulation.scene.ego[b])
-        if settings.inflow is not None:
+        if settings.straight_inflow is not None:
             ego, arrays = int(arrays["entry"][0, ego]), _by_vehicle(arrays)
         del arrays["entry"]
         replays.append(
@@ -222,10 +222,11 @@ def _places(simulation: Simulation, vehicle: int | None) -> Ints:
     scene, settings = simulation.scene, simulation.settings
     if vehicle is None:
         return scene.ego
-    if settings.inflow is None:
+    inflow = settings.straight_inflow
+    if inflow is None:
         return np.full(scene.ego.size, vehicle)
     if vehicle > settings.traffic_vehicles:  # numbers of those that enter follow the last place
-        vehicle += settings.inflow.capacity
+        vehicle += inflow.capacity
     return np.asarray((scene.present & (scene.entry == vehicle)).argmax(axis=1))
 
 

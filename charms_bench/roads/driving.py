@@ -16,7 +16,7 @@ from charms_bench.foundation.compiled import (
     wrap_to_pi,
 )
 from charms_bench.roads.linear import linear_acceleration, linear_steering
-from charms_bench.roads.locating import coordinates_of, heading_on, width_on
+from charms_bench.roads.locating import as_followed, coordinates_of, heading_on, width_on
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     AHEAD,
@@ -296,7 +296,8 @@ def following_acceleration(here: Here, i: int, j: int, free: float) -> float:
         return own_acceleration(here, i, j, free)
     speed, p = vehicle_of(here, i).speed, here.constants
     wanted = desired_gap(speed, speed - vehicle_of(here, j).speed, p)
-    return free - idm_mobil.interaction(wanted, here.clock.gap, p.acceleration_mps2)
+    gap = as_followed(here, i, j, here.clock.gap)
+    return free - idm_mobil.interaction(wanted, gap, p.acceleration_mps2)
 
 
 @inlined
@@ -317,7 +318,8 @@ def expected_acceleration(driver: tuple[Here, int], i: int, j: int) -> float:
 def distance_to(here: Here, i: int, j: int) -> float:
     """How far vehicle j is ahead on the lane of vehicle i [`RoadObject.lane_distance_to`]."""
     lane = vehicle_of(here, i).lane
-    return float(coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s)
+    distance = coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s
+    return as_followed(here, i, j, distance)
 
 
 @inlined

@@ -38,12 +38,13 @@ from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.fault import Fault
+from charms_bench.roads.inflow import RoadInflow
 from charms_bench.roads.junctions import RoadJunctions
-from charms_bench.roads.locating import coordinates_of, forget, locate
+from charms_bench.roads.locating import forget, locate
 from charms_bench.roads.looking_ahead import look_ahead
-from charms_bench.roads.order import neighbours
 from charms_bench.roads.plan import plan_of
 from charms_bench.roads.right_of_way import enforce
+from charms_bench.roads.room import is_safe
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
@@ -60,24 +61,21 @@ from charms_bench.roads.scenes import (
     vehicle_of,
 )
 from charms_bench.roads.settings import ONLY_EGOS, profiles_of
+from charms_bench.roads.sizes import set_types
 from charms_bench.roads.stepping import collide, move_all
 from charms_bench.roads.straightened import BEHIND, Ways, find_way, straighten
 from charms_bench.roads.views import RoadViews
 from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, MetaAction, controls_of
-from charms_bench.world.gaps import gap_to, is_within, requires_braking
 from charms_bench.world.plan import Lines, Plan, lines_of
 from charms_bench.world.scene import Scene, SceneSettings, Vehicles
-from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
-HEADWAY_S = 0.3
-"""The least time headway after a lane change towards the route."""
 _COLUMNS = {name: name for name in Scene._fields if name in (VEHICLE.names or ())}
 _COLUMNS["impact"] = "has_impact"
 """The columns of the table of vehicles that are arrays of a `Scene`."""
 _NETWORK_ONLY = [name for name in VEHICLE.names or () if name not in (*ARRAYS, "has_impact")]
 """The other columns that are no arrays of a `SceneState`."""
 _KEPT = (
-    *(*_NETWORK_ONLY, "order", "time", "steps", "entries", "goals"),
+    *(*_NETWORK_ONLY, "order", "time", "steps", "entries", "goals", "entered"),
     *(f"{name} of ways" for name in Ways._fields),
 )
 """The names of `RoadEngine._kept`."""
@@ -106,7 +104,9 @@ class RoadEngine(Shown):
     ) -> None:
         assert settings.network is not None
         hz = settings.simulation_hz
-        self.episodes = episodes_of_agents(settings.network, scenes, hz)
+        inflow = settings.inflow
+        room = inflow.capacity if inflow else 0
+        self.episodes = episodes_of_agents(settings.network, scenes, hz, room)
         """The scenes on the network, of whose tables `state` is a view."""
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self._seen = Scene.empty(settings, scenes, parameters, memory)
@@ -116,16 +116,23 @@ class RoadEngine(Shown):
         """[B] whether vehicles have moved since `_seen` was straightened."""
         shape = self._seen.x.shape
         self.drivers = np.zeros(shape, dtype=np.int64)
+        self._seeds = np.zeros(scenes, dtype=np.uint64)
         self._present = np.zeros(shape, dtype=np.bool_)
         """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
         self.goals: Bools = np.zeros(scenes, dtype=np.bool_)
         self.egos, self.ego_index = self.episodes.task.egos, 0
         on_network, task = self.episodes.scenes, self.episodes.task
+        on_network.constants["mixed_sizes"] = bool(settings.vehicle_types)
         self.has_goal = task.has_goal
+        self._inflow = RoadInflow(settings, on_network, task.starts) if inflow else None
+        if inflow:
+            task.open_ends()
+        self.renewal_steps = 1 if inflow else 0
         if task.comes_and_goes:
             self.renewal_steps = round(hz / self.episodes.config["policy_frequency"])
         self.moments = task.moments
         self._followers = [k for k, model in models.items() if model.follows_recording]
+        self.arrivals = self._inflow.most if self._inflow else 0
         self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
         self._fault = Fault(scenes, on_network, task.ranks(on_network))
         self.measures: Mapping[str, Floats] = {
@@ -200,20 +207,26 @@ class RoadEngine(Shown):
             numbers = np.zeros(self.goals.size, dtype=np.int64)
             numbers[rows] = self.moments.numbers_of(seeds)
             episodes.task.numbers = numbers
+        vehicles, kinds = episodes.scenes.vehicles, self._kinds
         episodes.start(rows)
         self._seat_ego(rows)
-        is_configured = np.isin(agents[:, 0], list(self.configured))
-        episodes.task.navigate(episodes.scenes, rows[~is_configured])
+        self._seed(rows, seeds)
+        if self._inflow:
+            self._inflow.entered[rows] = 0
+        others = rows[~np.isin(agents[:, 0], list(self.configured))]
+        if self.moments is None:
+            vehicles["target_speed"][others, : self.egos] = vehicles["speed"][others, : self.egos]
+        if self._settings.vehicle_types:
+            entry = np.tile(np.arange(vehicles.shape[1]), (rows.size, 1))
+            everyone = np.ones(entry.shape, dtype=np.bool_)
+            set_types(episodes.scenes, self._settings, rows, seeds, entry, everyone)
+        episodes.task.navigate(episodes.scenes, others)
         scene.ego[rows], scene.active[rows], self.drivers[rows] = 0, True, agents
         scene.temperament[rows] = 0.5
         self.goals[rows] = False
         self._ways.lanes[rows] = -1
         self._seat(rows)
-        vehicles, kinds = episodes.scenes.vehicles, self._kinds
-        if self.moments is None:
-            others = rows[~is_configured]
-            vehicles["target_speed"][others, : self.egos] = vehicles["speed"][others, : self.egos]
-        else:
+        if self.moments is not None:
             at_speed = kinds[rows] == BY_TARGETS
             speed, target_speed = vehicles["speed"][rows], vehicles["target_speed"][rows]
             vehicles["target_speed"][rows] = np.where(at_speed, speed, target_speed)
@@ -235,6 +248,12 @@ class RoadEngine(Shown):
         swapped = np.where(order == 0, self.ego_index, np.where(order == self.ego_index, 0, order))
         scenes.order["place"][rows] = swapped
 
+    def _seed(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+        """Notes the seeds of the scenes `rows` (R,), by which vehicles will flow in."""
+        self._seeds[rows] = seeds
+        if self._inflow:
+            self._inflow.draw(rows, seeds)
+
     def _give(self, draws: Floats, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         """Has the random generators of the scenes `rows` draw what is given."""
         scenes = self.episodes.scenes
@@ -245,19 +264,32 @@ class RoadEngine(Shown):
             vars(self).pop("state", None)
         self.episodes.scenes.generator[rows] = given
 
-    def renew(self, rows: Ints, agents: Ints) -> Vehicles:
+    def renew(self, rows: Ints, agents: Ints, times_s: Floats) -> Vehicles:
         scenes, ways = self.episodes.scenes, self._ways
         table = scenes.vehicles
         for k, egos in self.configured.items():
             egos.keep(rows[self.drivers[rows, 0] == k])
         x, y, was_there = table["x"][rows], table["y"][rows], self._present[rows]
-        self.episodes.task.follow(scenes, rows)
+        task, inflow = self.episodes.task, self._inflow
+        if task.comes_and_goes:
+            task.follow(scenes, rows)
+        numbers = inflow.flow(scenes, rows, times_s) if inflow else None
         is_there = table["kind"][rows] > OBSTACLE
         has_stayed = was_there & (table["x"][rows] == x) & (table["y"][rows] == y)
         has_entered = is_there & ~has_stayed
+        entry = self._seen.entry[rows]
+        later = entry.max(axis=1, keepdims=True) + has_entered.cumsum(axis=1)
+        entry = np.where(has_entered, later if numbers is None else numbers, entry)
+        if inflow is None and self._settings.vehicle_types and has_entered.any():
+            set_types(scenes, self._settings, rows, self._seeds[rows], entry, has_entered)
+            is_there = table["kind"][rows] > OBSTACLE
+            has_entered &= is_there
         some, places = np.nonzero(has_entered)
         entered = rows[some], places
-        self.drivers[entered] = agents[some]
+        self._seen.entry[entered] = number = entry[some, places]
+        self.drivers[entered] = agents[some, (number - entry.shape[1]) % agents.shape[1]]
+        for b, i in np.transpose(entered).tolist() if inflow else ():
+            task.send(scenes, b, i)
         changed = rows[(is_there != was_there).any(axis=1) | has_entered.any(axis=1)]
         self._seat(changed)
         self._moved[changed] = True
@@ -357,6 +389,7 @@ class RoadEngine(Shown):
             "entries.lane": any_lane,
             "order.place": (0, places - 1),
             "open_lanes of ways": (0, lane[1] + 1),
+            "entered": (0, self.arrivals),
             "free_acceleration": (-_LARGEST_POWER, _LARGEST_POWER),
         }
         for name, part in self._parts(state.network).items():
@@ -384,6 +417,7 @@ class RoadEngine(Shown):
                 end = start + _bytes_of((array,))
                 part = np.ascontiguousarray(saved[:, start:end]).view(array.dtype)
                 array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
+        self._seed(rows, seeds)
         vehicles = self.episodes.scenes.vehicles
         had_targets = vehicles["kind"][rows] > CONTINUOUS
         self._seat(rows)
@@ -415,7 +449,8 @@ class RoadEngine(Shown):
         scenes = self.episodes.scenes
         own = (scenes.vehicles[name] for name in _NETWORK_ONLY)
         counted = scenes.order, scenes.time, scenes.steps, self._entries.table, self.goals
-        return (*own, *counted, *self._ways)
+        entered = self._inflow.entered if self._inflow else np.zeros((len(scenes.order), 0), int)
+        return (*own, *counted, entered, *self._ways)
 
     def plan(self, row: int) -> Plan:
         """Where the vehicles of a scene are on its network, for pictures."""
@@ -731,23 +766,3 @@ def change_to_route(here: Here, i: int) -> None:
         side = row.right if wanted > vehicle.lane else row.left if wanted < vehicle.lane else -1
     if side >= 0 and is_reachable(here, i, side) and is_safe(here, i, side):
         vehicle.target_lane = side
-
-
-@compiled
-def is_safe(here: Here, i: int, lane: int) -> bool:
-    """Whether on a lane, neither vehicle i nor its follower has to brake hard to avoid a collision.
-
-    The deceleration that just avoids one is at most `DRAC_LIMIT_MPS2`, and the time headway at
-    least `HEADWAY_S`.
-    """
-    front, rear = neighbours(here, i, lane)
-    for behind, ahead in ((i, front), (rear, i)):
-        if behind < 0 or ahead < 0:
-            continue
-        own, other = vehicle_of(here, behind), vehicle_of(here, ahead)
-        distance = coordinates_of(here, ahead, lane).s - coordinates_of(here, behind, lane).s
-        gap, closing = gap_to(distance, own.length, other.length), own.speed - other.speed
-        is_close = is_within(gap, own.speed, HEADWAY_S)
-        if is_close or requires_braking(gap, closing, DRAC_LIMIT_MPS2):
-            return False
-    return True

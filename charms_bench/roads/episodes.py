@@ -19,7 +19,7 @@ from charms_bench.roads.controls import Controls, actions_of
 from charms_bench.roads.defaults import DEFAULTS, MOST_STEPS, SPLIT
 from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
 from charms_bench.roads.observing import Kinematics, Observed, observer_of
-from charms_bench.roads.scenes import Scenes, place
+from charms_bench.roads.scenes import NOTHING, Scenes, place
 from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
@@ -56,13 +56,15 @@ class Decision(NamedTuple):
 class Episodes:
     """B scenes of the environment with highway-env's name `name`, such as `merge-v0`.
 
-    Those of a road in a file have the name `FILE_ROAD`.
+    Those of a road in a file have the name `FILE_ROAD`. There is `room` for so many more vehicles.
 
     Raises:
         InputError: The configuration has an unknown key or a value that is not supported.
     """
 
-    def __init__(self, name: str, count: int, config: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, name: str, count: int, config: Mapping[str, Any] | None = None, room: int = 0
+    ) -> None:
         self.name = name
         task = _task_of(name)
         _check_egos(task, config)
@@ -99,9 +101,11 @@ class Episodes:
         self._most_steps = MOST_STEPS.get(name)
         self.steps = np.zeros(count, dtype=np.int64)
         """(B,) the decisions of each episode so far."""
+        self._room = slice(self.task.vehicles, self.task.vehicles + room)
+        """The places that are empty at the start."""
         self.scenes = Scenes.empty(
             count,
-            self.task.vehicles + len(self.task.objects),
+            self.task.vehicles + len(self.task.objects) + room,
             self.task.layout.network,
             self.config["neighbour_vehicles_connected_lanes"],
             self.actions.target_speeds,
@@ -111,7 +115,7 @@ class Episodes:
             self.task.links,
         )
         for b in range(count):
-            for i, each in enumerate(self.task.objects, self.task.vehicles):
+            for i, each in enumerate(self.task.objects, self._room.stop):
                 place(self.scenes, b, i, each.kind, each.x, each.y, each.heading, 0.0)
                 row = self.scenes.vehicles[b, i]
                 row["length"], row["width"] = each.length, each.width
@@ -135,6 +139,8 @@ class Episodes:
         scenes.time[rows] = 0.0
         self.steps[rows] = 0
         scenes.vehicles["crashed"][rows, self.task.vehicles :] = False  # obstacles, too, are new
+        scenes.vehicles["kind"][rows, self._room] = NOTHING
+        scenes.order["place"][rows] = np.arange(scenes.order.shape[1])
         self.task.start(scenes, rows)
         if isinstance(self.actions, Controls):
             self.actions.take(scenes, rows, self.task.egos)
@@ -212,7 +218,7 @@ class Episodes:
         return tuple(seen) if self.sees_agents else seen[0]
 
 
-def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int) -> Episodes:
+def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int, room: int = 0) -> Episodes:
     """B scenes for agents with actions of their own, with the configuration of a road.
 
     Where the environment's actions are accelerations and steering angles, the ego starts as it does
@@ -228,7 +234,7 @@ def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int) -> Episo
     is_continuous = DEFAULTS[name]["action"]["type"] == "ContinuousAction"
     if is_continuous and _takes_meta_actions(name):
         config["action"] = {"type": "DiscreteMetaAction", "lateral": False}
-    return Episodes(name, count, config)
+    return Episodes(name, count, config, room)
 
 
 def _takes_meta_actions(name: str) -> bool:

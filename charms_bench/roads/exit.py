@@ -95,6 +95,9 @@ class Exit(Task):
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._rule, self._routes, self._weights_of_lanes)
 
+    def send(self, scenes: Scenes, b: int, i: int) -> None:
+        _send(scenes, b, i, self._routes)
+
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, self.weights, self._rule, rewards)
 
@@ -135,6 +138,13 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, routes: Ints, weights: Floats
             append(scenes, b, (i, i, IDM, lane), speed, rule.spacing, rule.crowding)
             plan_route(scenes, b, i, routes, 0)
             scenes.vehicles[b, i].changes_lanes = False
+
+
+@compiled_of_scenes
+def _send(scenes: Scenes, b: int, i: int, routes: Ints) -> None:
+    """Has a vehicle drive straight on."""
+    plan_route(scenes, b, i, routes, 0)
+    scenes.vehicles[b, i].changes_lanes = False
 
 
 @compiled

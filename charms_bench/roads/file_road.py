@@ -32,8 +32,9 @@ from charms_bench.roads.giving_way import (
     look_along,
     meetings_of,
 )
+from charms_bench.roads.inflow import ENTRY_M
 from charms_bench.roads.layout import Edge
-from charms_bench.roads.locating import forget, locate
+from charms_bench.roads.locating import coordinates_of, forget, locate
 from charms_bench.roads.looking_ahead import BRAKING_MPS2, speed_ahead
 from charms_bench.roads.map_lanes import driven_lanes, levels_of, map_of
 from charms_bench.roads.recorded_scenes import enter, on_road, put_recorded, scene_of
@@ -68,8 +69,6 @@ BETWEEN_M = 20.0
 """A shorter lane between junctions is part of them: a vehicle that waits there is in the way."""
 STANDING_MPS = 0.5
 WRECK_S, STANDING_S = 10.0, 120.0
-ENTRY_M = 5.0
-"""How far a vehicle that comes back is along its lane."""
 LEFT, CLEARED, FREED, ENTERED = range(1, 5)
 """What happens to a vehicle after a decision: it leaves, as a wreck, or after it has stood for a
 long time; or it comes back."""
@@ -79,6 +78,8 @@ class Rule(NamedTuple):
     """What the functions below need to know."""
 
     egos: int
+    vehicles: int
+    """With the egos, at the start."""
     interval: float
     """Between decisions, s."""
     duration: float
@@ -174,7 +175,7 @@ class FileRoad(Task):
             self.vehicles = self.moments.vehicles.shape[1]
         draws = ENTERING_DRAWS if self.moments is None else 0
         interval, duration = 1 / config["policy_frequency"], min(self.duration, 1e4)
-        self._rule = Rule(self.egos, interval, duration, draws)
+        self._rule = Rule(self.egos, self.vehicles, interval, duration, draws)
         self.happened = np.zeros((0, 0), dtype=np.int64)
         """(B, N) what happened to each vehicle after the last decision; 0 is nothing."""
 
@@ -198,6 +199,22 @@ class FileRoad(Task):
         egos = scenes.vehicles[:, : self.egos]
         egos["kind"] = np.where(egos["kind"] > OBSTACLE, IDM, egos["kind"])
         self._rule = self._rule._replace(egos=0)
+
+    def open_ends(self) -> None:
+        """Has vehicles that leave not come back, for a road with an inflow."""
+        self._rule = self._rule._replace(entering_draws=0)
+
+    @property
+    def starts(self) -> Ints:
+        """Those lanes outside of junctions to which no other one leads and that are not narrow."""
+        if self._starts is None:
+            return np.zeros(0, dtype=np.int64)
+        road, lanes = self.layout.network, self._starts.lanes
+        wide = [width_at(road, int(lane), ENTRY_M) >= NARROW_M for lane in lanes]
+        return lanes[np.array(wide, dtype=np.bool_)]
+
+    def send(self, scenes: Scenes, b: int, i: int) -> None:
+        _send(scenes, b, i, self.routes, self._inside)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         """There is no reward; environments have their own."""
@@ -342,21 +359,41 @@ def appear(
     place_near(scenes, b, i, kind, lane, x, y, heading_at(scenes.road, lane, s), speed)
     vehicle = scenes.vehicles[b, i]
     locate(here, i)
-    vehicle.target_lane, vehicle.speed_min, vehicle.goal = vehicle.lane, 0.0, goal
-    if kind == IDM:
-        vehicle.goal = draw_goal(scenes, b, routes, vehicle.lane, 0.0, np.inf)
-        draw_behaviour(scenes, b, i)
-    plan_way(vehicle, scenes.road, routes, vehicle.lane, True)
-    vehicle.speed = speed_ahead(here, i)
-    if vehicle.route_end > 1 and inside[vehicle.route_roads[1]]:
-        way = max(row.length - s - LINE_M, 0.0)
-        vehicle.speed = min(vehicle.speed, math.sqrt(2 * BRAKING_MPS2 * way))
+    vehicle.target_lane, vehicle.goal = vehicle.lane, goal
+    vehicle.speed = set_off(scenes, here, b, i, routes, inside, row.length - s)
     if kind == IDM:
         vehicle.target_speed = vehicle.speed
     else:
         vehicle.speed_index = index_of(vehicle.speed, scenes.target_speeds)
         vehicle.target_speed = scenes.target_speeds[vehicle.speed_index]
     return True
+
+
+@compiled
+def set_off(
+    scenes: Scenes, here: Here, b: int, i: int, routes: Routes, inside: Ints, left_m: float
+) -> float:
+    """Gives a vehicle its way, and returns how fast it may be so far from the end of its lane."""
+    vehicle = scenes.vehicles[b, i]
+    vehicle.speed_min = 0.0
+    if vehicle.kind == IDM:
+        vehicle.goal = draw_goal(scenes, b, routes, vehicle.lane, 0.0, np.inf)
+        draw_behaviour(scenes, b, i)
+    plan_way(vehicle, scenes.road, routes, vehicle.lane, True)
+    speed = speed_ahead(here, i)
+    if vehicle.route_end > 1 and inside[vehicle.route_roads[1]]:
+        speed = min(speed, math.sqrt(2 * BRAKING_MPS2 * max(left_m - LINE_M, 0.0)))
+    return speed
+
+
+@compiled_of_scenes
+def _send(scenes: Scenes, b: int, i: int, routes: Routes, inside: Ints) -> None:
+    """Gives a vehicle that has flowed in a goal."""
+    here, vehicle = here_of(scenes, b), scenes.vehicles[b, i]
+    forget(here, i)
+    left_m = scenes.road.lanes[vehicle.lane].length - coordinates_of(here, i, vehicle.lane).s
+    speed = set_off(scenes, here, b, i, routes, inside, left_m)
+    vehicle.speed = min(vehicle.speed, speed)
 
 
 @compiled_of_scenes
@@ -388,7 +425,7 @@ def _start(
                 if appear(scenes, here, b, (i, lane, s), COMMANDED, goal, routes, inside):
                     scenes.vehicles[b, i].goal_s = goal_s
                     break
-        for i in range(rule.egos, places):
+        for i in range(rule.egos, rule.vehicles):
             for _ in range(DRAWS):
                 lane = draw_lane(state, everywhere)
                 s = uniform(state, 0.0, road.lanes[lane].length)
@@ -432,7 +469,7 @@ def _follow(
                     vehicle.kind, has_changed = NOTHING, True
             if vehicle.kind > OBSTACLE:
                 find_route(scenes, b, i, rule, links, routes)
-        for i in range(rule.egos, here.places):
+        for i in range(rule.egos, here.places if rule.entering_draws else 0):
             if scenes.vehicles[b, i].kind != NOTHING:
                 continue
             for _ in range(rule.entering_draws):

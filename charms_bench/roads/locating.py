@@ -4,6 +4,7 @@ import math
 
 from charms_bench.foundation.compiled import compiled, inlined, row_after, woven, wrap_to_pi
 from charms_bench.roads.scenes import KNOWN_LANES, Here, Row, lane_of, vehicle_of
+from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.lane_geometry import (
     CIRCULAR,
     POLYLINE,
@@ -46,6 +47,16 @@ def kept_of(here: Here, i: int, lane: int) -> Row:
 def is_known(here: Here, i: int, lane: int) -> bool:
     """Whether the coordinates of vehicle i on a lane have been computed."""
     return bool(kept_of(here, i, lane).key == row_after(here.visited, i).moved + lane)
+
+
+@inlined
+def as_followed(here: Here, i: int, j: int, distance: float) -> float:
+    """The distance to vehicle j ahead of vehicle i as IDM measures it; see `following_distance`."""
+    c = here.constants
+    if not c.mixed_sizes:
+        return distance
+    own, other = vehicle_of(here, i).length, vehicle_of(here, j).length
+    return float(following_distance(distance, overhang(own, c.length), overhang(other, c.length)))
 
 
 @compiled

@@ -16,7 +16,7 @@ def look_ahead(here: Here) -> None:
     for i in range(here.places):
         vehicle = vehicle_of(here, i)
         if vehicle.kind == IDM and not vehicle.crashed and not vehicle.is_yielding:
-            vehicle.target_speed = speed_ahead(here, i)
+            vehicle.target_speed = min(speed_ahead(here, i), vehicle.desired_speed)
 
 
 @compiled

@@ -122,7 +122,8 @@ class Merge(Task):
     def entering(self, scenes: Scenes) -> Ints:
         """The vehicle (B,) on the ramp, at the start of an episode."""
         kind, lane = scenes.vehicles["kind"], scenes.vehicles["lane"]
-        return np.asarray(np.argmax((kind > OBSTACLE) & (lane == self._rule.ramp), axis=1))
+        is_on_ramp = (kind > OBSTACLE) & (lane == self._rule.ramp)
+        return np.where(is_on_ramp.any(axis=1), np.argmax(is_on_ramp, axis=1), -1)
 
     def main_lanes(self, scenes: Scenes) -> Bools:
         """Those of the motorway; highway-env forbids others to change to the ramp."""

@@ -49,7 +49,8 @@ def enforce(road: Network, here: Here) -> None:
         count += 1
         if vehicle.is_yielding:
             vehicle.is_yielding = False
-            vehicle.target_speed = lane_of(here, vehicle.lane).speed_limit
+            limit = lane_of(here, vehicle.lane).speed_limit
+            vehicle.target_speed = min(limit, vehicle.desired_speed)
         predict(road, here, i, predicted[k])
     for k in range(count):
         for m in range(k + 1, count):
@@ -114,7 +115,7 @@ def along_route(here: Here, i: int, time: float) -> tuple[int, float]:
 def meet(one: Row, other: Row, here: Floats, there: Floats) -> bool:
     """Whether vehicles touch that are at two predicted positions with headings (3,)."""
     dx, dy = there[0] - here[0], there[1] - here[1]
-    if math.sqrt(dx * dx + dy * dy) > one.length:
+    if math.sqrt(dx * dx + dy * dy) > max(one.length, other.length):
         return False
     return has_point_inside(one, other, here, there) or has_point_inside(other, one, there, here)
 

@@ -129,6 +129,9 @@ class Roundabout(Task):
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._rule, self._lanes, self._routes)
 
+    def send(self, scenes: Scenes, b: int, i: int) -> None:
+        _send(scenes, b, i, self._rule, self._routes)
+
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, actions, self.weights, self._rule, rewards)
 
@@ -246,6 +249,13 @@ def put_ego(scenes: Scenes, b: int, rule: Rule, routes: Ints) -> None:
     heading = heading_at(scenes.road, rule.own, rule.own_start)
     put_on_lane(scenes, b, 0, COMMANDED, rule.own, rule.own_start, heading, 8.0)
     plan_route(scenes, b, 0, routes, rule.destinations)
+
+
+@compiled_of_scenes
+def _send(scenes: Scenes, b: int, i: int, rule: Rule, routes: Ints) -> None:
+    """Has a vehicle drive to an exit."""
+    plan_route(scenes, b, i, routes, integers(scenes.generator[b], 0, rule.destinations))
+    draw_behaviour(scenes, b, i)
 
 
 @compiled_of_scenes

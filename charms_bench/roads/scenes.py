@@ -38,6 +38,8 @@ OBSTACLE_SIZE_M = 2.0
 """The length and the width of an obstacle [`RoadObject`]."""
 GAINS = 5
 """How many a linear vehicle has: three of its acceleration and two of its steering angle."""
+ANY_SPEED_MPS = 1e6
+"""The desired speed of a vehicle whose type has none: lanes limit its speed."""
 IDM_EXPONENT = 4.0
 """That of a driver for whom none is drawn [`IDMVehicle.DELTA`]."""
 Row = Any
@@ -54,7 +56,8 @@ def _table(**names: str) -> "np.dtype[Any]":
 
 VEHICLE = _table(
     floats="x y heading direction_x direction_y speed acceleration steering length width "
-    "target_speed timer_s exponent impact_x impact_y speed_min speed_max lateral_speed yaw_rate "
+    "target_speed desired_speed timer_s exponent impact_x impact_y speed_min speed_max "
+    "lateral_speed yaw_rate "
     "free_acceleration goal_s stood_s stop_s",
     integers="kind lane target_lane speed_index route_step route_end goal stop_lane",
     booleans="crashed has_impact changes_lanes checks_collisions is_yielding",
@@ -63,7 +66,8 @@ VEHICLE = _table(
 )
 """A row of the table of vehicles; SI units, and names as in `world.scene.Scene`.
 
-`exponent` is that of IDM, and the `gains` are those of a linear vehicle; see `linear`.
+`desired_speed` is that of the vehicle's type, `ANY_SPEED_MPS` if it has none. `exponent` is that of
+IDM, and the `gains` are those of a linear vehicle; see `linear`.
 `speed_index` is the place of the target speed of a commanded vehicle. `changes_lanes`
 says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles collide if one of them
 `checks_collisions`. A vehicle that `is_yielding` stops for another one; see
@@ -450,6 +454,7 @@ def place_near(
     vehicle.length = OBSTACLE_SIZE_M if kind <= OBSTACLE else c.length
     vehicle.width = OBSTACLE_SIZE_M if kind <= OBSTACLE else c.width
     vehicle.target_speed = 0.0 if kind <= CONTINUOUS else speed
+    vehicle.desired_speed = ANY_SPEED_MPS
     vehicle.speed_min, vehicle.speed_max = c.speed_min, c.speed_max
     vehicle.lateral_speed = vehicle.yaw_rate = 0.0
     vehicle.timer_s = (x + y) * math.pi % c.lane_change_period_s

@@ -1,6 +1,7 @@
 """The settings of scenes on a road of highway-env, and the agents that can drive there."""
 
 import math
+from collections.abc import Collection
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -20,11 +21,14 @@ from charms_bench.world.observations import observation_of
 from charms_bench.world.profile import Profile
 from charms_bench.world.scene import SceneSettings
 
-_OF_STRAIGHT_ROADS = (
-    *("lanes", "traffic_vehicles", "density", "ego_slots"),
-    *("inflow", "recording", "vehicle_types", "ego_type"),
-)
-"""What a suite says of its scenes, but a road decides itself."""
+_OF_STRAIGHT_ROADS = {
+    "recording": (),
+    "lanes": ("lanes_count", "no_lanes", "roundabout_lanes"),
+    "traffic_vehicles": ("vehicles_count", "other_vehicles", "initial_vehicle_count", "density"),
+    "density": ("vehicles_density", "density"),
+    "ego_slots": (),
+}
+"""What a suite says of its scenes, but a road decides itself, and the keys of roads for it."""
 SIMULATION_HZ = 15
 """At which the start of an episode is looked at: few roads simulate before it."""
 _OF_SCENES = {
@@ -63,6 +67,8 @@ class _Road(NamedTuple):
     """Of an episode, at most, s; infinite if highway-env truncates none."""
     moments: Moments | None
     """Of a recorded scene."""
+    no_inflow: str
+    """Why vehicles cannot flow in; empty if they can."""
 
 
 def _check(road: NamedRoad) -> None:
@@ -99,8 +105,22 @@ def _road(road: NamedRoad) -> _Road:
     speed = scenes.vehicles["speed"][0, 0]
     width = scenes.road.lanes["width"][scenes.vehicles["lane"][0, 0]]
     places = scenes.vehicles.shape[1]
+    no_inflow = "" if episodes.task.starts.size else "each of its lanes begins where another ends"
+    if "spawn_probability" in episodes.config:
+        no_inflow = "vehicles come to it anyway, by its configuration.spawn_probability"
     task, numbers = episodes.task, (float(width), float(speed), float(slowest))
-    return _Road(places, lanes, *numbers, task.duration, task.moments)
+    return _Road(places, lanes, *numbers, task.duration, task.moments, no_inflow)
+
+
+def refuse_of_straight_roads(road: NamedRoad, given: Collection[str]) -> None:
+    """Raises an `InputError` if one of the given keys of a scene is for straight roads only."""
+    for field, keys in _OF_STRAIGHT_ROADS.items():
+        if field in given:
+            own = [key for key in keys if key in DEFAULTS.get(road.environment, {})]
+            instead = f", or give the road configuration.{own[0]} instead" if own else ""
+            raise InputError(
+                f"the road '{road}' has its own lanes and vehicles; remove scene.{field}{instead}"
+            )
 
 
 def on_road(
@@ -121,12 +141,12 @@ def on_road(
     ):  # which decides how many vehicles there is room for
         configuration = {**(road.configuration or {}), "duration": duration_s}
         road = road.model_copy(update={"configuration": configuration})
-    found = _road(road)
-    for field in _OF_STRAIGHT_ROADS:
-        if getattr(settings, field) != SceneSettings.model_fields[field].default:
-            raise InputError(
-                f"the road '{road}' has its own lanes and vehicles; remove scene.{field}"
-            )
+    found, defaults = _road(road), SceneSettings.model_fields
+    refuse_of_straight_roads(
+        road, [name for name, value in settings if value != defaults[name].default]
+    )
+    if settings.inflow and found.no_inflow:
+        raise InputError(f"scene.inflow: nothing flows into '{road}': {found.no_inflow}; remove it")
     changes = {"network": road, "lanes": found.lanes, "traffic_vehicles": found.places - 1}
     changes |= {"duration_s": duration_s, "ego_slots": 1}
     if found.moments is not None:

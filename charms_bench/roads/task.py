@@ -117,6 +117,18 @@ class Task(ABC):
         road = scenes.road.lanes["first"][ego["lane"]]
         return np.asarray((last >= 0) & (ego["route_roads"][each, last] == road))
 
+    @property
+    def starts(self) -> Ints:
+        """The lanes that begin where no other road ends, at which vehicles can flow in."""
+        road = self.layout.network
+        return np.nonzero(~np.isin(road.lanes["first"], road.successors))[0]
+
+    def open_ends(self) -> None:  # noqa: B027  # on most roads, they do not come back
+        """Has vehicles that leave not come back, for a road with an inflow."""
+
+    def send(self, scenes: Scenes, b: int, i: int) -> None:  # noqa: B027  # most do nothing
+        """Gives vehicle i of scene b, which has flowed in, its route."""
+
     def entering(self, scenes: Scenes) -> Ints:
         """The vehicle (B,) that will enter a road on which others have the right of way.
 

@@ -89,8 +89,17 @@ class UTurn(Task):
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._lanes, self._means, self._routes)
 
+    def send(self, scenes: Scenes, b: int, i: int) -> None:
+        _send(scenes, b, i, self._routes)
+
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, self.weights, self._rule, rewards)
+
+
+@compiled_of_scenes
+def _send(scenes: Scenes, b: int, i: int, routes: Ints) -> None:
+    """Has a vehicle drive to the end."""
+    plan_route(scenes, b, i, routes, 0)
 
 
 @compiled_of_scenes

@@ -334,7 +334,10 @@ def suite_of(document: Document) -> Suite:
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
     for index, road in enumerate(suite.roads):
+        from charms_bench.roads.settings import refuse_of_straight_roads  # slow to import
+
         try:
+            refuse_of_straight_roads(road.road, suite.scene.model_fields_set)
             for each in (road, *(road.bounds if road.parameters else ())):
                 suite._scene_of(Surroundings(each, suite.traffics[0]))
         except InputError as error:

@@ -126,7 +126,8 @@ class SceneSettings(FrozenModel):
     inflow: Inflow | None = None
     """Vehicles that enter the road during the episode; by default, none do, and the road is longer
     than any vehicle drives. With it, the road has the length that the profile says, and the episode
-    ends when the ego has reached its end."""
+    ends when the ego has reached its end. On one of the suite's `roads`, vehicles enter where its
+    lanes begin."""
     recording: RecordedMoments | None = None
     """Recordings at moments of which episodes start. They decide the lanes' width and the number of
     vehicles, and of lanes if it is not given: that of most vehicles."""
@@ -235,6 +236,12 @@ class SceneSettings(FrozenModel):
             raise InputError(f"{what} the straight road, not the road '{self.network}'")
 
     @property
+    def straight_inflow(self) -> Inflow | None:
+        """The inflow of a straight road, where replays name vehicles by the order of entry; on
+        other roads, they name places."""
+        return self.inflow if self.network is None else None
+
+    @property
     def vehicles(self) -> int:
         """The places for vehicles in a scene, including the ego's."""
         return self.traffic_vehicles + 1 + (self.inflow.capacity if self.inflow else 0)
@@ -277,7 +284,7 @@ class SceneSettings(FrozenModel):
         """
         profile = self.profile
         fastest = max(profile.speed_limit_mps, profile.speed_max_mps, profile.ego_speed_mps)
-        if self.inflow:
+        if self.straight_inflow:
             return profile.road_length_m + fastest / self.decision_hz
         return max(profile.road_length_m, self._spawned_within_m + fastest * self.duration_s)
 

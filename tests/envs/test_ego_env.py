@@ -348,6 +348,14 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
             "the road 'merge-v0' has its own lanes and vehicles; remove scene.lanes",
         ),
         (
+            {"road": "exit-v1", "lanes": 3},
+            "remove scene.lanes, or give the road configuration.lanes_count instead",
+        ),
+        (
+            {"road": "merge-v1", "traffic": CUT_IN},
+            "a scenario places vehicles on the straight road",
+        ),
+        (
             {"traffic": {"road": "merge-v0", "drivers": "human"}},
             "a road is no traffic model; give scene={'road': 'merge-v0'}, traffic='human'",
         ),

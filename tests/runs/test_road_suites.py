@@ -264,6 +264,27 @@ def test_a_scene_says_nothing_that_a_road_decides(field: str) -> None:
         on_road(SceneSettings.model_validate({field: 7}), NamedRoad(name="merge-v0"))
 
 
+@pytest.mark.parametrize(
+    ("road", "scene", "instead"),
+    [
+        ("exit-v1", "lanes: 3", "lanes_count"),
+        ("merge-generic-v1", "traffic_vehicles: 20", "vehicles_count"),
+        ("racetrack-v1", "traffic_vehicles: 20", "other_vehicles"),
+        ("highway-v0", "density: 1.0", "vehicles_density"),
+    ],
+)
+def test_a_key_for_straight_roads_names_that_of_the_road(
+    road: str, scene: str, instead: str, tmp_path: Path
+) -> None:
+    field = scene.partition(":")[0]
+    path = tmp_path / "suite.yaml"
+    what = f"scene: {{{scene}}}\negos: [{{agent: idm_mobil}}]\nroads: [{road}]\n"
+    path.write_text(f"suite: s\nepisodes: 1\n{what}")
+    what = f"remove scene.{field}, or give the road configuration.{instead} instead"
+    with pytest.raises(SuiteError, match=what):
+        load_suite(path)
+
+
 def parsed(**keys: object) -> Suite:
     given = {"suite": "s", "episodes": 1, "egos": [{"agent": "idm_mobil"}], **keys}
     return Suite.model_validate(given)

@@ -1,0 +1,57 @@
+"""The types of the vehicles on a road: their sizes and their desired speeds."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.engine.type_draws import draw_vehicles
+from charms_bench.foundation.arrays import Bools, Ints
+from charms_bench.roads.room import take_out_crowded
+from charms_bench.roads.scenes import ANY_SPEED_MPS, NOTHING, OBSTACLE, Scenes
+from charms_bench.world.scene import SceneSettings
+
+
+def set_types(
+    scenes: Scenes,
+    settings: SceneSettings,
+    rows: Ints,
+    seeds: NDArray[np.uint64],
+    entry: Ints,
+    is_new: Bools,
+) -> None:
+    """Gives new vehicles the sizes and the desired speeds of their types.
+
+    One that comes later is not faster than its desired speed. A vehicle other than the ego that has
+    no room then is taken out; see `room`.
+
+    Args:
+        scenes: The scenes.
+        settings: Their settings.
+        rows: (R,) some of them.
+        seeds: (R,) those of their episodes.
+        entry: (R, N) the numbers of all vehicles; see `world.scene.Scene`.
+        is_new: (R, N) which of them are new.
+    """
+    table = scenes.vehicles
+    is_new = is_new & (table["kind"][rows] > OBSTACLE)
+    is_ego = np.broadcast_to(np.arange(table.shape[1]) == 0, entry.shape)
+    desired, length, width = draw_vehicles(settings, seeds, entry, is_ego)
+    wants = is_new & ~np.isnan(desired)
+    comes = wants & (entry >= table.shape[1])
+    for name, values, where in (
+        ("length", length, is_new),
+        ("width", width, is_new),
+        ("desired_speed", np.where(wants, desired, ANY_SPEED_MPS), is_new),
+        ("target_speed", desired, wants & ~table["is_yielding"][rows]),
+        ("speed", np.fmin(desired, table["speed"][rows]), comes),
+    ):
+        table[name][rows] = np.where(where, values, table[name][rows])
+    take_out_crowded(scenes, rows, is_new & ~is_ego)
+    tidy(scenes, rows)
+
+
+def tidy(scenes: Scenes, rows: Ints) -> None:
+    """Puts the places with nothing to the end of the order of the scenes `rows`."""
+    order = scenes.order["place"][rows]
+    kinds = np.take_along_axis(scenes.vehicles["kind"][rows], order, axis=1)
+    kept = np.argsort(kinds == NOTHING, axis=1, kind="stable")
+    scenes.order["place"][rows] = np.take_along_axis(order, kept, axis=1)
