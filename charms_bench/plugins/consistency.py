@@ -152,6 +152,9 @@ class SceneCall:
         index = np.argsort(shown, kind="stable")[np.count_nonzero(shown < 0) :]
         scene = self.scene._replace(**arrays)
         vehicles = shown[index].astype(self.vehicles[0].dtype), self.vehicles[1][index]
+        if self.scene.junctions is not None:  # which know the scenes by their numbers
+            scene = copied(self.scene)
+            vehicles = self.vehicles[0][index], self.vehicles[1][index]
         again = self.ask(plugin, scene, tuple(map(np.copy, vehicles)))
         for then, now in zip((each[index] for each in self.said), again, strict=True):
             if now.shape != then.shape:
@@ -202,7 +205,8 @@ def called(
 
 def copied(scene: Scene) -> Scene:
     """A copy of all arrays."""
-    return scene._replace(**{name: getattr(scene, name).copy() for name in ARRAYS})
+    copy = scene._replace(**{name: getattr(scene, name).copy() for name in ARRAYS})
+    return copy.at(scene.junctions)
 
 
 def driving(model: DriverModel, scene: Scene, vehicles: Vehicles) -> Answers:
@@ -239,6 +243,9 @@ class Checked(Generic[P]):
         """The answers of a call about scenes, which is noted."""
         if all(each.shape[:1] == call.vehicles[0].shape for each in call.said):
             self._note(call, np.unique(call.vehicles[0]))
+            if call.scene.junctions is not None:  # which describe the present moment only
+                self._ask_again(self._other, TIMES, AGAIN)
+                self._noted = None
         return call.said  # with another shape, the simulation says what is wrong
 
     def _ask_again(self, plugin: P, times: int, how: str) -> None:

@@ -339,8 +339,8 @@ class Scene(SceneArrays):
         """The junctions of the road; None on a straight road."""
         return None
 
-    def at(self, junctions: Junctions) -> "Scene":
-        """The same scenes, on a road with junctions."""
+    def at(self, junctions: Junctions | None) -> "Scene":
+        """The same scenes, on a road with junctions or without."""
         scene = self._replace()
         vars(scene)["junctions"] = junctions
         return scene
