@@ -65,6 +65,10 @@ def _bridge(one: MapLane, other: MapLane, gap: float) -> MapLane:
     s = stations(curve, np.array([0.0, gap]))
     points = np.round(curve(s)[:, 0], DECIMALS) + 0.0
     points[[0, -1]] = start, end
+    # Where it turns back, two points can be one after rounding.
+    inside, before = points[1:-1, :2], points[:-2, :2]
+    differs = (inside != before).any(axis=1) & (inside != end[:2]).any(axis=1)
+    points = points[np.concatenate([[True], differs, [True]])]
     limits = [each.speed_limit for each in (one, other) if each.speed_limit is not None]
     lane = MapLane(f"{one.id}->{other.id}", points, None, min(limits, default=None), one.type)
     return replace(lane, exact=straight(points))

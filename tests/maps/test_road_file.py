@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from handmade_maps import connection, edge, lanes_of, opendrive, read, road, same, section, sumo
 from handmade_maps import lane as opendrive_lane
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from charms_bench.errors import MapError
@@ -57,6 +57,9 @@ steps = st.tuples(st.floats(0.5, 30), st.floats(-5, 5), st.floats(-0.5, 0.5))
 
 
 @settings(max_examples=40, deadline=None)
+@example(
+    start=(0.0, 0.0, 0.0), ways=[[(8.0, 0.5, 0.0)], [(1.0, 0.0, 0.0)]], width=1.0, links={(1, 0)}
+)
 @given(
     start=st.tuples(numbers, numbers, numbers),
     ways=st.lists(st.lists(steps, min_size=1, max_size=5), min_size=1, max_size=4),
