@@ -65,7 +65,7 @@ def test_actions_mean_to_the_last_bit_what_they_do_in_highway_env(
         samples = np.array([own.space.sample() for _ in range(20)])
         if dtype and kind == "ContinuousAction":
             samples = samples.astype(dtype) * 1.5
-        own.give(scene, samples, 0)
+        own.give(scene, np.arange(20), samples, 0)
         for k, sample in enumerate(samples):
             driver: Any = Driver()
             theirs.controlled_vehicle = driver
@@ -79,7 +79,7 @@ def test_a_speed_range_is_given_to_the_ego() -> None:
         {"action": {"type": "ContinuousAction", "speed_range": [0, 20]}}, tuple(TYPES)
     )
     scene: Any = Scene(1)
-    own.give(scene, np.zeros((1, 2)), 0)
+    own.give(scene, np.zeros(1, dtype=int), np.zeros((1, 2)), 0)
     assert (scene.vehicles["speed_min"][0, 0], scene.vehicles["speed_max"][0, 0]) == (0, 20)
 
 
