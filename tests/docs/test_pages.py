@@ -91,6 +91,11 @@ def test_every_example_of_a_suite_is_valid(page: Path, tmp_path: Path) -> None:
         if "recording" in example.get("scene", {}):
             example["scene"]["recording"] |= {"folder": str(tmp_path), "main_lanes": 1}
             example["scene"]["duration_s"] = 0.5
+        for road in (each for each in example.get("roads", ()) if "file" in each):
+            ours = ROOT / "suites" / road["file"]
+            road["file"] = str(ours if ours.exists() else ROOT / "docs" / "ramp.xodr")
+            if not ours.exists():  # the reader's own scene, of which only the rest is checked
+                road.pop("configuration", None)
         Suite.model_validate({**SMALL, **example})
 
 
