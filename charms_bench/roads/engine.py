@@ -213,7 +213,7 @@ class RoadEngine(Shown):
         self._seed(rows, seeds)
         if self._inflow:
             self._inflow.entered[rows] = 0
-        others = rows[~np.isin(agents[:, 0], list(self.configured))]
+        others = rows[~_are(agents[:, 0], self.configured)]
         if self.moments is None:
             vehicles["target_speed"][others, : self.egos] = vehicles["speed"][others, : self.egos]
         if self._settings.vehicle_types:
@@ -316,14 +316,14 @@ class RoadEngine(Shown):
         """Gives the vehicles of the scenes `rows` to their drivers."""
         vehicles, drivers = self.episodes.scenes.vehicles, self.drivers[rows]
         kinds = np.full(drivers.shape, BY_TARGETS)
-        kinds[np.isin(drivers, list(self._models))] = BY_MODEL
-        follows = np.isin(drivers, self._followers)
-        kinds[np.isin(drivers, self._continuous) | follows] = BY_CONTROLS
-        kinds[np.isin(drivers, list(self.configured))] = BY_CONFIGURATION
+        kinds[_are(drivers, self._models)] = BY_MODEL
+        follows = _are(drivers, self._followers)
+        kinds[_are(drivers, self._continuous) | follows] = BY_CONTROLS
+        kinds[_are(drivers, self.configured)] = BY_CONFIGURATION
         if (kinds[:, 1:] == BY_CONFIGURATION).any():
             raise InputError(f"{ONLY_EGOS}; let another agent drive the traffic")
         self._present[rows] = vehicles["kind"][rows] > OBSTACLE
-        kinds[np.isin(drivers, self._prescribed) | ~self._present[rows]] = BY_ENVIRONMENT
+        kinds[_are(drivers, self._prescribed) | ~self._present[rows]] = BY_ENVIRONMENT
         self._kinds[rows] = kinds
         if self.moments is not None:
             vehicles["checks_collisions"][rows] = ~follows
@@ -564,6 +564,11 @@ class RoadEngine(Shown):
             views = self._seen.x.shape[1] if is_traffic else 1
             self._roads[key] = shown._replace(road=road).at(self._junctions(views))
         return self._roads[key]
+
+
+def _are(drivers: Ints, agents: Collection[int]) -> Bools:
+    """Whether each driver is one of some agents, of which there are mostly none."""
+    return np.isin(drivers, list(agents)) if agents else np.zeros(drivers.shape, dtype=np.bool_)
 
 
 @compiled_of_scenes
