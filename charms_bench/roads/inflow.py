@@ -93,7 +93,7 @@ class RoadInflow:
                 array[row] = values.reshape(starts, most)
 
     def flow(self, scenes: Scenes, rows: Ints, times_s: Floats) -> Ints:
-        """Has vehicles leave and enter the scenes `rows` (R,) after so many seconds (R,).
+        """Has vehicles leave and enter the scenes `rows` (R,) at the times `times_s` (R,).
 
         Returns:
             (R, N) the numbers of those that have entered, -1 for all others.

@@ -33,8 +33,9 @@ from charms_bench.world.road_network import Network
 from charms_bench.world.scene import Vehicles
 
 LEAST_M = 2.0
+"""The least distance from a recorded ego's start to its goal."""
 GOAL_AT = 0.8
-"""The goal of a recorded ego is where it is recorded after so much of the episode."""
+"""The goal of a recorded ego is where it is recorded after this proportion of the episode."""
 
 
 class Goals(NamedTuple):
