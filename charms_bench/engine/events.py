@@ -1,7 +1,5 @@
 """The events that are built in, and the lowest level of each episode of a simulation."""
 
-import math
-
 import numpy as np
 
 from charms_bench.engine.simulation import Simulation
@@ -109,23 +107,6 @@ def _checked(event: Event, scene: Scene, rows: Ints) -> Floats:
 
 
 @compiled
-def contact(
-    dx: float, along: float, half_length: float, dy: float, across: float, half_width: float
-) -> tuple[float, float]:
-    """When two rectangles touch, s, and how fast they then close in on each other, m/s.
-
-    They touch once they overlap in both directions; infinity and 0 if they never do. `along` and
-    `across` are the relative speeds of the distances `dx` and `dy`.
-    """
-    begin, end = overlap(dx, along, half_length)
-    start, stop = overlap(dy, across, half_width)
-    time = max(begin, start, 0.0)
-    if time > min(end, stop):
-        return math.inf, 0.0
-    return time, abs(along) if begin >= start else abs(across)
-
-
-@compiled
 def beside(
     scene: Scene, speed: Floats, b: int, i: int, j: int
 ) -> tuple[float, float, float, float, float, float]:
@@ -150,8 +131,25 @@ def beside(
 
 
 @compiled
+def overlapping(
+    ahead: float, aside: float, along: float, across: float, length: float, width: float
+) -> tuple[float, float, float]:
+    """When two rectangles begin and cease to overlap, s, and how fast they then close in, m/s.
+
+    They overlap along the sides of the first, in both directions; if they never do, they begin
+    after they cease. The arguments are what `beside` returns.
+    """
+    begin, end = overlap(ahead, along, length / 2)
+    start, stop = overlap(aside, across, width / 2)
+    return max(begin, start), min(end, stop), abs(along) if begin >= start else abs(across)
+
+
+@compiled
 def closest_on_network(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
-    """As `closest`, among vehicles of any direction, seen from `beside` the ego."""
+    """As `closest`, among vehicles of any direction.
+
+    Two rectangles touch where they overlap along the sides of both.
+    """
     times = np.full(rows.size, HORIZON_S)
     inverse_decelerations = np.full(rows.size, HARMLESS_S2_PER_M)
     for r in range(rows.size):
@@ -160,8 +158,12 @@ def closest_on_network(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
         for i in range(scene.x.shape[1]):
             if i == ego or not scene.present[b, i]:
                 continue
-            ahead, aside, along, across, length, width = beside(scene, scene.speed, b, ego, i)
-            time, closing = contact(ahead, along, length / 2, aside, across, width / 2)
+            begin, end, closing = overlapping(*beside(scene, scene.speed, b, ego, i))
+            start, stop, closing_there = overlapping(*beside(scene, scene.speed, b, i, ego))
+            time = max(begin, start, 0.0)
+            if time > min(end, stop):
+                continue
+            closing = closing if begin >= start else closing_there
             times[r] = min(times[r], time)
             if 2 * time < inverse_decelerations[r] * closing:
                 inverse_decelerations[r] = 2 * time / closing
@@ -189,18 +191,17 @@ def closest(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
         for i in range(scene.x.shape[1]):
             if i == ego:
                 continue
-            along = scene.speed[b, i] * scene.direction_x[b, i] - ahead
-            across = scene.speed[b, i] * scene.direction_y[b, i] - aside
-            length = (scene.length[b, i] + scene.length[b, ego]) / 2
-            width = (scene.width[b, i] + scene.width[b, ego]) / 2
-            time, closing = contact(
+            begin, end, closing = overlapping(
                 scene.x[b, i] - scene.x[b, ego],
-                along,
-                length,
                 scene.y[b, i] - scene.y[b, ego],
-                across,
-                width,
+                scene.speed[b, i] * scene.direction_x[b, i] - ahead,
+                scene.speed[b, i] * scene.direction_y[b, i] - aside,
+                scene.length[b, i] + scene.length[b, ego],
+                scene.width[b, i] + scene.width[b, ego],
             )
+            time = max(begin, 0.0)
+            if time > end:
+                continue
             times[r] = min(times[r], time)
             if 2 * time < inverse_decelerations[r] * closing:
                 inverse_decelerations[r] = 2 * time / closing

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from highway_env.utils import are_polygons_intersecting
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import scene_of, scenes
@@ -13,6 +14,7 @@ from charms_bench.engine.events import (
     Crash,
     TimeToCollision,
     closest,
+    closest_on_network,
     lowest_levels,
 )
 from charms_bench.engine.simulation import Simulation
@@ -73,6 +75,41 @@ def test_the_time_is_that_at_which_moved_rectangles_first_overlap(scene: Scene, 
     overlaps = np.delete((along < -1e-6) & (across < -1e-6), ego)
     if overlaps.any():
         assert time <= at
+
+
+def rectangle(x: float, y: float, moved_m: float, heading: float, margin: float) -> Floats:
+    """The closed polygon (5, 2) of a vehicle of 5 x 2 m, enlarged by a margin."""
+    along = np.array([np.cos(heading), np.sin(heading)])
+    half_length, half_width = 2.5 + margin, 1.0 + margin
+    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]])
+    across = np.array([-along[1], along[0]])
+    sides = np.array([half_length * along, half_width * across])
+    return np.array([x, y]) + moved_m * along + signs @ sides
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.floats(-20.0, 20.0), min_size=2, max_size=2),
+    st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2),
+    st.lists(st.floats(0.0, 15.0), min_size=2, max_size=2),
+)
+def test_vehicles_of_any_direction_touch_when_highway_env_says_so(
+    away: list[float], heading: list[float], speed: list[float]
+) -> None:
+    scene = scene_of(x=[0.0, away[0]], y=[0.0, away[1]], speed=speed, heading=heading)
+    (time,), _ = closest_on_network(scene, ROW)
+
+    def intersects(at: float, margin: float) -> bool:
+        corners = (
+            rectangle(scene.x[0, i], scene.y[0, i], speed[i] * at, heading[i], margin)
+            for i in (0, 1)
+        )
+        return bool(are_polygons_intersecting(*corners, np.zeros(2), np.zeros(2))[0])
+
+    if time < HORIZON_S:
+        assert intersects(time, 1e-6)
+    for at in np.linspace(0.0, 0.999 * min(time, 5.0), 20):
+        assert time == 0.0 or not intersects(at, -1e-6)
 
 
 class Slowest(Event):
