@@ -22,8 +22,8 @@ def packaged(network: str) -> OnnxPolicy:
     if not file.is_file():
         raise ModelError(
             f"the network '{network}' is not in this installation of charms-bench; "
-            "suites/train.yaml, train-baselines.yaml or train-paper.yaml trains it, and the path "
-            "of the trained file is an agent's name"
+            "suites/train.yaml, train-baselines.yaml, train-paper.yaml or train-roads.yaml trains "
+            "it, and the path of the trained file is an agent's name"
         )
     return OnnxPolicy(str(file))
 
@@ -46,6 +46,8 @@ safe_altruistic = partial(packaged, "charms_safe_altruistic")
 """CHARMS, safe and altruistic."""
 best_response = partial(packaged, "best_response")
 """The best response to CHARMS traffic, eq. 13 of the paper."""
+on_roads = partial(packaged, "charms_roads")
+"""CHARMS for all roads, efficient and egoistic, which observes junctions."""
 paper = partial(packaged, "charms_paper")
 """CHARMS, efficient and egoistic, by the settings that the paper states; `charms` has others."""
 imitation = partial(packaged, "imitation")

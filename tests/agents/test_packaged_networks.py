@@ -70,13 +70,25 @@ def hash_of(suite: str, name: str) -> str:
 
 def test_the_package_has_the_networks_of_its_agents_alone() -> None:
     styles = {"charms_{}_{}".format(*style) for style in STYLES.values()}
-    others = {"best_response", "charms_paper", "imitation", "prior_level_k", "prior_level_k_safe"}
+    others = {"best_response", "charms_paper", "charms_roads", "imitation", "prior_level_k",
+              "prior_level_k_safe"}  # fmt: skip
     assert set(PACKAGED) == styles | others
 
 
 def test_the_paper_has_one_of_the_networks_of_the_plan() -> None:
     table = pl.read_csv(HASHES).filter(network="paper", seed=3010)
     assert table["onnx_sha256"].item() == sha256(POLICIES / "charms_paper.onnx")
+
+
+def test_the_agent_of_all_roads_has_one_of_the_networks_of_its_plan() -> None:
+    table = pl.read_csv(RESULTS / "plan-roads-trainings.csv")
+    of_seed = table.filter(network="efficient_egoistic", seed=4020)
+    assert of_seed["onnx_sha256"].item() == sha256(POLICIES / "charms_roads.onnx")
+    suite, made = load_training(PROJECT / "suites" / "train-roads.yaml"), manifest("charms_roads")
+    stage = suite.stages[made["stage"]]
+    assert stage.reward is not None
+    assert made["reward"] == stage.reward.model_dump(exclude_none=True)
+    assert (made["steps"], made["seed"]) == (stage.steps, suite.seed)
 
 
 def test_a_network_that_is_not_kept_can_be_made_or_found(tmp_path: Path) -> None:
@@ -154,7 +166,7 @@ def test_learning_from_people_made_each_decide_more_like_them(suite: str, name: 
 @pytest.mark.parametrize(
     "agent",
     ["imitation", "prior_level_k", "prior_level_k_safe", "charms-best-response", "charms-paper",
-     *STYLES],
+     "charms-roads", *STYLES],
 )  # fmt: skip
 def test_each_agent_is_its_packaged_network(agent: str) -> None:
     stage = {"charms-best-response": "best_response"}.get(agent, agent.replace("-", "_"))
