@@ -31,8 +31,7 @@ class Crash(Event):
     sees_network = True
 
     def level(self, scene: Scene, rows: Ints) -> Floats:
-        find = closest_on_network if isinstance(scene.road, Network) else closest
-        _, inverse_decelerations = find(scene, rows)
+        _, inverse_decelerations = _closest(scene, rows)
         return np.maximum(inverse_decelerations, TOUCHING_S2_PER_M)
 
 
@@ -47,6 +46,7 @@ class TimeToCollision(Event):
     """
 
     includes_failure = True
+    sees_network = True
 
     def __init__(self, below_s: float = 1.0) -> None:
         if isinstance(below_s, bool) or not isinstance(below_s, int | float):
@@ -64,7 +64,7 @@ class TimeToCollision(Event):
         self._below_s = below_s
 
     def level(self, scene: Scene, rows: Ints) -> Floats:
-        times, _ = closest(scene, rows)
+        times, _ = _closest(scene, rows)
         return np.asarray(times - self._below_s)
 
 
@@ -89,6 +89,10 @@ def lowest_levels(simulation: Simulation, event: Event) -> Floats:
     if event.includes_failure:
         lowest[simulation.failed] = np.minimum(lowest[simulation.failed], -1.0)
     return lowest
+
+
+def _closest(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
+    return (closest_on_network if isinstance(scene.road, Network) else closest)(scene, rows)
 
 
 def _checked(event: Event, scene: Scene, rows: Ints) -> Floats:
