@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
-from plan_seeds import mean_of
 from result_pages import RESULTS, ROOT, keep, refill
+from seeds import mean_of
 
 from charms_bench.episodes.avoidability import avoidability, collisions
 from charms_bench.episodes.criticality import COLLISION, criticality
