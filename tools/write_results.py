@@ -1,7 +1,7 @@
 """Writes the tables of the readme and the documentation.
 
     python tools/write_results.py suites RUNS
-    python tools/write_results.py mutants RUN [RUN ...]
+    python tools/write_results.py mutants RUN
     python tools/write_results.py likeness DATA
 
 RUNS holds the run folders of the suites by their names, `RUNS/ego` and so on, and that of the
