@@ -16,8 +16,7 @@ for variable in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"):
 def _one_worker_is_this_process() -> Iterator[None]:
     """Runs with `workers=1` simulate in the test process, which saves the start of a worker.
 
-    The reference engine still gets a worker of its own, because NumPy has to start with other
-    settings for it. Tests of the workers themselves start theirs.
+    Tests of the workers themselves start theirs.
     """
     from charms_bench.errors import CharmsBenchError
     from charms_bench.runs import runner
@@ -25,7 +24,7 @@ def _one_worker_is_this_process() -> Iterator[None]:
     in_processes = runner.in_processes
 
     def here(work: Callable[..., Any], tasks: list[Any], count: int, *others: Any) -> Iterator[Any]:
-        if count != 1 or any(getattr(each, "engine", "") == "highway-env" for each in tasks):
+        if count != 1:
             yield from in_processes(work, tasks, count, *others)
             return
         failed, dropped = others[4], set[Any]()

@@ -118,10 +118,8 @@ def test_a_report_is_one_file(run: charms_bench.Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"cluster": "tcp://here:1", "engine": "highway-env"}, "a cluster runs the engine 'batch"),
         ({"cluster": "tcp://here:1", "workers": 2}, "a cluster has its own"),
         ({"episodes": 0}, "episodes"),
-        ({"engine": "fast"}, "no engine named 'fast'. Known: batched, highway-env"),
         ({"workers": -1}, "workers is -1; expected a number above 0"),
         ({"shard_limit_s": 0}, "shard_limit_s is 0; expected a number above 0"),
     ],

@@ -1,8 +1,7 @@
 """How well traffic models find faults, for `write_results.py mutants RUN` of suites/mutants.yaml.
 
 Writes the tables of docs/mutants.md, which says what the numbers are, and the severity of every
-driver in every traffic model to `docs/results/mutants.csv`. With several runs, of other episodes,
-it writes the tables of the repetitions.
+driver in every traffic model to `docs/results/mutants.csv`.
 """
 
 import re
@@ -12,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
-from plan_seeds import mean_of
 from result_pages import RESULTS, ROOT, keep, refill
 
 from charms_bench.episodes.avoidability import avoidability, collisions
@@ -247,15 +245,7 @@ def titles_of(run: FinishedRun) -> tuple[list[str], dict[str, Sequence[int]]]:
     }
 
 
-def write(*folders: Path) -> None:
-    """Writes the tables of a run, or of the repetitions."""
-    if len(folders) > 1:
-        repeat(folders)
-    else:
-        write_one(*folders)
-
-
-def write_one(folder: Path) -> None:
+def write(folder: Path) -> None:
     """Writes the tables and the severities."""
     run = open_finished(folder)
     (egos, ladders), cells = titles_of(run), cells_of(run)
@@ -286,39 +276,4 @@ def write_one(folder: Path) -> None:
     whole, parts = summary(traffics, searched, ladders, likeness)
     keep("mutants", markdown(whole))
     keep("mutants-ladders", markdown(parts))
-    refill(ROOT / "docs" / "mutants.md")
-
-
-def repeat(folders: Sequence[Path]) -> None:
-    """Writes what several runs of the suite, with other episodes, say of each traffic model."""
-    km: dict[str, list[float]] = {}
-    faults: dict[str, dict[str, int]] = {}
-    finds: dict[str, list[str]] = {}
-    for run in map(open_finished, folders):
-        rng = np.random.default_rng(731_550_000)
-        egos, ladders = titles_of(run)
-        for traffic, cells in cells_of(run).items():
-            driven = of_traffic(run, cells)
-            needed = episodes_until_ordered(driven.severity, list(ladders.values()), rng)[-1]
-            is_ordered = needed <= len(driven.severity)
-            distance_km = float(needed * driven.distance_km.mean()) if is_ordered else np.inf
-            km.setdefault(traffic, []).append(distance_km)
-            is_found = found(driven.severity)
-            finds.setdefault(traffic, []).append(str(is_found.sum()))
-            counts = faults.setdefault(traffic, dict.fromkeys(egos[1:], 0))
-            for ego, each in zip(egos[1:], is_found, strict=True):
-                counts[ego] += int(each)
-    whole = []
-    for traffic, each in km.items():
-        shown = ", ".join(f"{n:,.0f}" if n < np.inf else "not" for n in each)
-        mean = mean_of(np.array(each)) if max(each) < np.inf else Number(None)
-        distances = {"km until τ ≥ 0.9": shown, "km, mean": mean}
-        found_there = {"faults found, of 16": ", ".join(finds[traffic])}
-        whole.append({"traffic model": traffic} | distances | found_there)
-    parts = [
-        {"fault": ego} | {traffic: f"{counts[ego]}" for traffic, counts in faults.items()}
-        for ego in next(iter(faults.values()))
-    ]
-    for name, records in (("repetitions", whole), ("repeated-faults", parts)):
-        keep(f"mutants-{name}", markdown(_table(records, 1)))
     refill(ROOT / "docs" / "mutants.md")

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from plan import written
-from plan_seeds import OVER, SEED, Columns, mean_of, summary
+import yaml
 from result_pages import RESULTS, ROOT, keep, refill
+from seeds import OVER, SEED, Columns, mean_of, summary
 
 import charms_bench
 from charms_bench.errors import RunFolderError
@@ -87,8 +87,9 @@ def drive(networks: Path, runs: Path, *tests: str) -> None:
                 file = networks.resolve() / str(seed) / "networks" / f"{name}.onnx"
                 egos.append({"agent": str(file), "label": f"{label}{SEED}{seed}"})
         common = {"suite": test, "seed": 985_000_000, "episodes": 600, "scene": {"duration_s": 45}}
-        charms_bench.run(written(common | TESTS[test] | {"egos": egos}, runs / f"{test}.yaml"),
-                         runs / test)  # fmt: skip
+        file = runs / f"{test}.yaml"
+        file.write_text(yaml.safe_dump(common | TESTS[test] | {"egos": egos}, sort_keys=False))
+        charms_bench.run(file, runs / test)
 
 
 def values_of(runs: Path, test: str) -> pl.DataFrame:

@@ -1,9 +1,8 @@
 """Writes the tables of the readme and the documentation.
 
     python tools/write_results.py suites RUNS
-    python tools/write_results.py mutants RUN [RUN ...]
+    python tools/write_results.py mutants RUN
     python tools/write_results.py likeness DATA
-    python tools/write_results.py plan NETWORKS RUNS [NAME ...]
 
 RUNS holds the run folders of the suites by their names, `RUNS/ego` and so on, and that of the
 training as `RUNS/train`. Each gives a file in `docs/results`, which then replaces the text between
@@ -12,8 +11,8 @@ hold stays as it is. The tables of docs/reproduction.md compare `RUNS/released-e
 and so on. CSV files beside them hold the numbers of long tables. `RUNS/rare` is what
 `charms-bench rare suites/rare.yaml --output RUNS/rare` made, and `rare_comparison` names others.
 
-The other commands write the tables of docs/mutants.md, docs/likeness.md and docs/charms-test.md;
-`mutants`, `likeness_page` and `plan_tables` say of what.
+The other commands write the tables of docs/mutants.md and docs/likeness.md; `mutants` and
+`likeness_page` say of what.
 """
 
 import sys
@@ -23,7 +22,6 @@ from pathlib import Path
 
 import likeness_page
 import mutants
-import plan_tables
 from rare_comparison import rare_comparison, rare_estimate
 from result_pages import RESULTS, ROOT, keep, refill
 from run_results import (
@@ -96,7 +94,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "suites": suites,
     "mutants": mutants.write,
     "likeness": likeness_page.write_page,
-    "plan": plan_tables.write,
 }
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, TypeVar
 from charms_bench.api.arguments import PathLike, asked, check_positive, ego_entry, evaluation_in
 from charms_bench.api.results import Run
 from charms_bench.api.warming import note_roads, warm_up
-from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.progress import note, progress
@@ -37,7 +36,6 @@ def run(
     episodes: int | None = None,
     seed: int | None = None,
     workers: int | None = None,
-    engine: EngineName = "batched",
     rows: PathLike | None = None,
     cluster: str | None = None,
     shard_limit_s: float | None = None,
@@ -53,7 +51,6 @@ def run(
         episodes: Episodes per cell, instead of the suite's.
         seed: Seed of the first episode, instead of the suite's.
         workers: Processes; by default one per core.
-        engine: `batched`, or `highway-env`, the slow reference.
         rows: Another run's folder; episodes that it already has are copied.
         cluster: Address of a Dask scheduler, such as `tcp://HOST:8786`.
         shard_limit_s: Time limit for one shard, including the start of its worker; by default half
@@ -66,19 +63,13 @@ def run(
             an agent or a traffic model fails in some cells, the tables hold the others.
         KeyboardInterrupt: The run was interrupted; its note names the folder.
     """
-    if engine not in ENGINES:
-        raise InputError(
-            f"no engine named '{engine}'. {suggestion(engine, dict.fromkeys(ENGINES))}"
-        )
     check_positive(workers=workers, shard_limit_s=shard_limit_s)
-    if cluster is not None and engine != "batched":
-        raise InputError("a cluster runs the engine 'batched'; 'highway-env' runs on this machine")
     if cluster is not None and workers is not None:
         raise InputError("workers are processes on this machine; a cluster has its own")
     taken = None if rows is None else absolute(rows)
     _, loaded, _, folder = asked(suite, output, agents, episodes=episodes, seed=seed)
     references = read_references(loaded.references, loaded.folder)
-    if engine == "batched" and cluster is None:
+    if cluster is None:
         warm_up()
         note_roads(loaded)
     on_dask = None
@@ -97,7 +88,6 @@ def run(
             finished = runner.run(
                 loaded,
                 folder,
-                engine,
                 workers,
                 lambda cell, count: tell(cell.ego.title, count),
                 taken,

@@ -3,7 +3,7 @@
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
@@ -83,9 +83,6 @@ def run(
         None, min=1, help="Episodes per ego and traffic model; overrides the suite."
     ),
     workers: Workers = None,
-    engine: Literal["batched", "highway-env"] = typer.Option(
-        "batched", help="Engine; highway-env is the slow reference."
-    ),
     seed: int | None = typer.Option(
         None,
         min=0,
@@ -152,12 +149,11 @@ def run(
             trained = charms_bench.train(suite, output, workers=workers, seed=seed, **of_trainings)
         _print_training(trained, as_json)
         return
-    can_start = cluster is None and engine == "batched"
-    early = min(workers or os.cpu_count() or 1, EARLY_WORKERS) if can_start else 0
+    early = min(workers or os.cpu_count() or 1, EARLY_WORKERS) if cluster is None else 0
     with interruptible(), started_early(early, "charms_bench.runs.shard"):
         # To import what it needs takes a while, in which the workers start.
         of_evaluations |= {"seed": seed, "shorten": shorten, "agents": agents or ()}
-        made = charms_bench.run(suite, output, workers=workers, engine=engine, **of_evaluations)
+        made = charms_bench.run(suite, output, workers=workers, **of_evaluations)
     _print_result(made, as_json)
 
 
@@ -226,8 +222,7 @@ def show(
         end_with_json({**facts, "tables": tables})
     cells = f"{len(suite.egos)} × {len(suite.surroundings)} cells"
     cells += f" of {counted(suite.episodes, 'episode')}"
-    engine = f"seeds from {suite.seed:,}, engine {folder.manifest().get('engine')}"
-    say(f"{suite.title or suite.suite}\n{cells}, {engine}")
+    say(f"{suite.title or suite.suite}\n{cells}, seeds from {suite.seed:,}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out().print(drawn(each, out().width))
     try:

@@ -41,8 +41,7 @@ def audit_run(
     error is raised if the folder holds no run, or a shard cannot be simulated.
     """
     cells = planned_again(folder, suite, folder.finished())
-    engine = folder.engine()
-    software = list(audit_software(folder.manifest(), folder.written_suite(), engine, cells))
+    software = list(audit_software(folder.manifest(), folder.written_suite(), cells))
     good = Finding("software", "", "pass", "the code and libraries of the run are installed")
     yield from software or [good]
     yield from audit_networks(folder)
@@ -56,7 +55,7 @@ def audit_run(
     count = len(tasks) if shards is None else min(shards, len(tasks))
     chosen = np.random.default_rng(seed).choice(len(tasks), count, replace=False)
     sample = {task: shard for shard, task in (tasks[k] for k in sorted(chosen.tolist()))}
-    running = on_this_machine(simulate, engine, workers, sample, SHARD_LIMIT_S, notice)
+    running = on_this_machine(simulate, workers, sample, SHARD_LIMIT_S, notice)
     wrong = 0
     with closing(running):
         for task, files in running:
@@ -65,7 +64,7 @@ def audit_run(
             wrong += bool(found)
             yield from found
             progress(cells[shard.cell].cell, shard.episodes)
-    whole = len(places_of(suite, engine))
+    whole = len(places_of(suite))
     what = (
         f"{wrong} of {counted(count, 'shard')} that were simulated again differ"
         if wrong

@@ -71,7 +71,7 @@ def _shards(
     is_same: bool,
 ) -> Iterator[Finding]:
     """Whether every shard of the suite is there once, with the right key and with its episodes."""
-    places, drivers = places_of(suite, folder.engine()), folder.drivers(suite)
+    places, drivers = places_of(suite), folder.drivers(suite)
     by_place: dict[tuple[int, int], str] = {}
     for name in sorted(names):
         where, shard = f"{CHECKSUMS}/{name}.sha256", shard_named(name, places)

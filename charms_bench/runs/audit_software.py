@@ -9,7 +9,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from charms_bench.engine import EngineName
 from charms_bench.errors import CharmsBenchError
 from charms_bench.plugins.specs import AgentSpec
 from charms_bench.runs.audit_finding import Finding
@@ -48,10 +47,10 @@ class Planned:
 def planned_again(folder: RunFolder, suite: Suite, names: Collection[str]) -> list[Planned]:
     """Plans every cell of a suite; `names` are those of the shards in its run folder."""
     forget_agents()
-    engine, found = folder.engine(), []
+    found = []
     for index, cell in enumerate(suite.cells):
         try:
-            planned = plan_cell(suite, index, engine, folder)
+            planned = plan_cell(suite, index, folder)
         except CharmsBenchError as error:
             found.append(Planned(cell, {}, {}, str(error), frozenset()))
             continue
@@ -62,12 +61,12 @@ def planned_again(folder: RunFolder, suite: Suite, names: Collection[str]) -> li
 
 
 def audit_software(
-    manifest: Mapping[str, Any], suite: Suite, engine: EngineName, cells: Sequence[Planned]
+    manifest: Mapping[str, Any], suite: Suite, cells: Sequence[Planned]
 ) -> Iterator[Finding]:
     """Yields where the manifest of a run differs from what the installed software writes."""
     for where, what in (*_code(manifest), *_agents(manifest, cells)):
         yield Finding("software", where, "unknown", what)
-    ours = RunFolder.manifest_of(suite, engine, {})
+    ours = RunFolder.manifest_of(suite, {})
     if manifest.get("modules") == ours["modules"]:
         compared = [name for name in {**manifest, **ours} if name not in _COMPARED_APART]
         one, other = ({name: each.get(name) for name in compared} for each in (manifest, ours))

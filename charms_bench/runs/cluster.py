@@ -13,8 +13,8 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlsplit
 
-from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import ClusterError, InputError, named
+from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.runs.cluster_worker import Job, describe_platform, run_shard
 from charms_bench.runs.code_hashes import differences
 from charms_bench.runs.runner import Notice, SimulateAll
@@ -78,7 +78,7 @@ def _simulate_all(
         job = client.submit(  # as a task, it is sent to a worker once and is never lost
             Job,
             platform=_common_platform(client, sorted(names)),
-            environment=worker_environment("batched"),
+            environment=ONE_THREAD,
             networks={sha256: path.read_bytes() for sha256, path in networks.items()},
             pure=False,
         )

@@ -26,7 +26,6 @@ class RunFields(BaseModel):
 
     charms_bench: str = ""
     suite_sha256: str = ""
-    engine: str = ""
     agents: dict[str, dict[str, str]] = {}
     metric_sets: dict[str, int] = {}
     versions: dict[str, str] = {}

@@ -93,7 +93,7 @@ def run_rare(
             progress(suite.cells[cell], 1)
         missing = [task for task, made in kept.items() if made is None]
         fail = note_failures(suite, failed, notice, missing)
-        running = on_this_machine(estimate, "batched", workers, missing, RUN_LIMIT_S, notice, fail)
+        running = on_this_machine(estimate, workers, missing, RUN_LIMIT_S, notice, fail)
         with closing(running):
             for task, made in running:
                 write_result(_file(output, task), asdict(made))

@@ -13,12 +13,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import polars as pl
 
 from charms_bench import __version__
-from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import RunFolderError, problem_in
 from charms_bench.foundation.files import read_file, read_limited, write_bytes
 from charms_bench.foundation.words import counted
@@ -66,24 +65,23 @@ class RunFolder:
         self._opened: os.stat_result | None = None
 
     @contextmanager
-    def opened_for(self, suite: Suite, engine: str) -> Iterator[None]:
+    def opened_for(self, suite: Suite) -> Iterator[None]:
         """Locks the folder for running a suite; see `manifest.opened`."""
-        ours = {"suite": suite.deciding(), "engine": engine}
-        with opened(self.path, MANIFEST, "run", ours, self.manifest):
+        with opened(self.path, MANIFEST, "run", {"suite": suite.deciding()}, self.manifest):
             self._opened = os.stat(self.path)
             yield
 
-    def write_manifest(self, suite: Suite, engine: str, agents: Mapping[str, Any]) -> None:
+    def write_manifest(self, suite: Suite, agents: Mapping[str, Any]) -> None:
         """Writes the suite, the software and the machine of the run.
 
         `agents` are those of `shard.identify_agents`, of all cells.
         """
-        manifest = self.manifest_of(suite, engine, agents)
+        manifest = self.manifest_of(suite, agents)
         text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
         write_bytes(self.path / MANIFEST, text.encode())
 
     @staticmethod
-    def manifest_of(suite: Suite, engine: str, agents: Mapping[str, Any]) -> dict[str, Any]:
+    def manifest_of(suite: Suite, agents: Mapping[str, Any]) -> dict[str, Any]:
         """Returns what `write_manifest` writes."""
         return {
             "format": FORMAT,
@@ -91,7 +89,6 @@ class RunFolder:
             **suite.model_dump(mode="json", include=set(UNDECIDING)),
             "suite": suite.deciding(),
             "suite_sha256": suite.fingerprint(),
-            "engine": engine,
             "agents": agents,
             "metric_sets": {each.name: each.version for each in suite.metric_sets},
             "versions": library_versions(),
@@ -166,15 +163,6 @@ class RunFolder:
         found = self.manifest().get("episodes", 0) if (self.path / MANIFEST).exists() else 0
         return found if isinstance(found, int) else 0
 
-    def engine(self) -> EngineName:
-        """Returns the engine of the run; raises a `RunFolderError` if the manifest names none."""
-        found = self.manifest().get("engine")
-        if found in ENGINES:
-            return cast(EngineName, found)
-        raise RunFolderError(
-            f"{self.path / MANIFEST}: engine is {found!r}; expected one of {', '.join(ENGINES)}"
-        )
-
     def finished(self) -> list[str]:
         """Returns the names for which there are checksums."""
         return sorted(path.stem for path in (self.path / CHECKSUMS).glob("*.sha256"))
@@ -185,7 +173,7 @@ class RunFolder:
         Raises:
             RunFolderError: A file is not of a shard of the suite, or two are of the same shard.
         """
-        places, drivers = places_of(suite, self.engine()), self.drivers(suite)
+        places, drivers = places_of(suite), self.drivers(suite)
         found: dict[tuple[int, int], Shard] = {}
         for name in self.finished():
             shard, path = shard_named(name, places), self._checksums(name)
@@ -252,7 +240,7 @@ class RunFolder:
         if not has_some:
             raise RunFolderError(
                 f"{other}: holds no rows of this suite; expected a run of the same version, with "
-                "the same engine, scene, seeds and agents"
+                "the same scene, seeds and agents"
             )
 
     def read(self, kind: str, shards: Iterable[Shard]) -> pl.DataFrame:

@@ -9,9 +9,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TypeVar
 
-from charms_bench.engine import EngineName
-from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, RunFolderError, SuiteError
+from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.foundation.words import counted
 from charms_bench.foundation.workers import Failed, in_processes
 from charms_bench.plugins.registry import is_network
@@ -58,7 +57,6 @@ generator ends the shards that are not finished.
 def run(
     suite: Suite,
     output: Path,
-    engine: EngineName = "batched",
     workers: int | None = None,
     progress: Progress = lambda cell, episodes: None,
     rows: Path | None = None,
@@ -86,8 +84,8 @@ def run(
         CharmsBenchError: Something is wrong; the folder keeps the shards finished so far.
     """
     folder, failed = RunFolder(output), dict[int, CharmsBenchError]()
-    with folder.opened_for(suite, engine):
-        tasks = plan(suite, engine, failed)
+    with folder.opened_for(suite):
+        tasks = plan(suite, failed)
         for what in _reasons(suite, failed):
             notice(f"{what}; the other cells are run")
         agents = {
@@ -97,8 +95,8 @@ def run(
         }
         if not shorten:
             folder.refuse_to_drop(suite, tasks)
-        before = dict(blocks(suite.model_copy(update={"episodes": folder.episodes()}), engine))
-        folder.write_manifest(suite, engine, agents)
+        before = dict(blocks(suite.model_copy(update={"episodes": folder.episodes()})))
+        folder.write_manifest(suite, agents)
         networks = {k: path for task in tasks.values() for k, path in task.networks.items()}
         for name, path in networks.items():
             folder.keep_network(path, agents[name]["weights_sha256"])
@@ -129,7 +127,7 @@ def run(
 
         _note_replaced(suite, before, folder.finished(), missing.values(), notice)
         fail = note_failures(suite, failed, notice, missing)
-        here = partial(on_this_machine, simulate, engine, workers, failed=fail)
+        here = partial(on_this_machine, simulate, workers, failed=fail)
         simulate_all: SimulateAll = cluster or here
         try:
             with closing(simulate_all(list(missing), shard_limit_s, notice)) as finished:
@@ -143,7 +141,7 @@ def run(
                 error.add_note(f"finished shards are in {output}; the same command continues there")
             raise
         # A cell that could not be planned keeps its rows; another that failed has none of before.
-        places, planned = places_of(suite, engine), {shard.cell for shard in tasks}
+        places, planned = places_of(suite), {shard.cell for shard in tasks}
         named = (shard_named(name, places) for name in folder.finished())
         unplanned = [shard for shard in named if shard and shard.cell not in planned]
         folder.drop_others([*tasks, *unplanned])
@@ -180,9 +178,7 @@ def _note_replaced(
         )
 
 
-def plan(
-    suite: Suite, engine: EngineName, failed: dict[int, CharmsBenchError] | None = None
-) -> dict[Shard, ShardTask]:
+def plan(suite: Suite, failed: dict[int, CharmsBenchError] | None = None) -> dict[Shard, ShardTask]:
     """Returns the shards of a suite, by cell and seed, each with the task that simulates it.
 
     The errors of cells that their agents cannot drive are added to `failed`, by cell. If these are
@@ -198,7 +194,7 @@ def plan(
     failed = {} if failed is None else failed
     for index in range(len(suite.cells)):
         try:
-            tasks |= plan_cell(suite, index, engine)
+            tasks |= plan_cell(suite, index)
         except SuiteError as error:
             failed[index] = error
     if not tasks:
@@ -265,9 +261,7 @@ def _reasons(suite: Suite, failed: Mapping[int, CharmsBenchError]) -> list[str]:
     return found
 
 
-def plan_cell(
-    suite: Suite, index: int, engine: EngineName, folder: RunFolder | None = None
-) -> dict[Shard, ShardTask]:
+def plan_cell(suite: Suite, index: int, folder: RunFolder | None = None) -> dict[Shard, ShardTask]:
     """Returns the shards of one cell; see `plan`.
 
     If a run folder is given, its copies of networks are used instead of the suite's files.
@@ -286,16 +280,15 @@ def plan_cell(
                 "configuration.start"
             )
     if cell.scene.network is not None:
-        _check_road(suite, cell, engine, networks)
+        _check_road(suite, cell, networks)
     driver = ego.key
     if is_network(ego.name):
         driver = f"{software.agents[ego.name]['weights_sha256']}.onnx"
     tasks = {}
-    for first, episodes in blocks(suite, engine):
+    for first, episodes in blocks(suite):
         task = ShardTask(
             title=f"{cell.title}, episodes {first} to {first + episodes - 1}",
             cell=index,
-            engine=engine,
             scene=cell.scene,
             ego=ego,
             traffic=traffic,
@@ -308,17 +301,14 @@ def plan_cell(
     return tasks
 
 
-def _check_road(suite: Suite, cell: Cell, engine: EngineName, networks: Mapping[str, Path]) -> None:
-    """Raises a `SuiteError` if a cell's agents or the engine cannot drive on its road."""
+def _check_road(suite: Suite, cell: Cell, networks: Mapping[str, Path]) -> None:
+    """Raises a `SuiteError` if a cell's agents cannot drive on its road."""
     from charms_bench.roads.settings import problem_of_driver
 
     others = traffic_of(cell.traffic.traffic).agents
     seats = [cell.ego.agent, *(AgentSpec(name=name) for name in others if name != PRESCRIBED)]
     for k, driver in enumerate(seats):
-        what = problem_of_driver(agent_of(driver, networks), is_ego=k == 0)
-        if engine != "batched":
-            what = f"the engine '{engine}' has straight roads only; `verify --road` compares others"
-        if what:
+        if what := problem_of_driver(agent_of(driver, networks), is_ego=k == 0):
             raise SuiteError(
                 f"suite '{suite.suite}': agent '{driver.key}' cannot drive on the road "
                 f"'{cell.scene.network}': {what}"
@@ -327,7 +317,6 @@ def _check_road(suite: Suite, cell: Cell, engine: EngineName, networks: Mapping[
 
 def on_this_machine(
     work: Callable[[T], R],
-    engine: EngineName,
     workers: int | None,
     tasks: Collection[T],
     limit_s: float,
@@ -341,6 +330,4 @@ def on_this_machine(
         """What messages call a task whose worker has died, perhaps because of a network."""
         return f"{task.title} ({', '.join(task.networks)})" if task.networks else task.title
 
-    return in_processes(
-        work, tasks, count, title, limit_s, notice, worker_environment(engine), failed
-    )
+    return in_processes(work, tasks, count, title, limit_s, notice, ONE_THREAD, failed)

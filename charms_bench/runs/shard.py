@@ -18,7 +18,6 @@ import polars as pl
 from pydantic import BaseModel
 
 from charms_bench.engine import EngineName, MakeEngine
-from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, BrokenWordError, RunFolderError
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
@@ -133,7 +132,6 @@ def _plain(value: Any) -> Any:
 class ShardTask(CellTask):
     """A shard to simulate."""
 
-    engine: EngineName
     first_seed: int
     """Seed of the first episode; the next episodes have the next seeds."""
     episodes: int
@@ -146,7 +144,6 @@ def simulate(task: ShardTask) -> ShardFiles:
         RunFolderError: The installed software is no longer that of the task.
         CharmsBenchError: An agent cannot be made, or fails.
     """
-    use_exact_maths(task.engine)
     names = harness_names()
     forget_identities()
     now = installed(task.ego, task.traffic, task.networks, task.scene.network is not None)
@@ -157,7 +154,7 @@ def simulate(task: ShardTask) -> ShardFiles:
     ego, count, first = task.ego.key, task.episodes, task.first_seed
     drivers = CheckedDrivers(task.ego, task.traffic, task.networks, task.scene, first)
     with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
-        engine = engine_on(task.scene, task.engine)
+        engine = engine_on(task.scene)
         recordings: list[Recording] = []
         egos = 1
         while len(recordings) < egos:
@@ -195,10 +192,10 @@ def _of_egos(rows: list[pl.DataFrame]) -> pl.DataFrame:
     return found.sort(*keys_of(found), maintain_order=True)
 
 
-def engine_on(scene: SceneSettings, engine: EngineName = "batched") -> EngineName | MakeEngine:
+def engine_on(scene: SceneSettings) -> EngineName | MakeEngine:
     """The engine of some scenes: those on highway-env's roads have their own."""
     if scene.network is None:
-        return engine
+        return "batched"
     from charms_bench.roads.engine import RoadEngine  # slow to import
 
     return RoadEngine

@@ -4,10 +4,9 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from charms_bench.engine import EngineName
 from charms_bench.runs.suite import Suite
 
-SHARD_EPISODES: dict[EngineName, int] = {"batched": 150, "highway-env": 10}
+SHARD_EPISODES = 150
 """Enough scenes for the compiled engine to be fast; few enough that a killed run loses little."""
 NAME = "([0-9]{3,})-([0-9]{9,})-([0-9a-f]{16})"
 """The name of a shard's files: its cell, its first seed and the beginning of its key."""
@@ -36,16 +35,16 @@ Places = Mapping[tuple[int, int], int]
 """The number of episodes of each shard of a run, by its cell and its first seed."""
 
 
-def blocks(suite: Suite, engine: EngineName) -> Iterator[tuple[int, int]]:
+def blocks(suite: Suite) -> Iterator[tuple[int, int]]:
     """Yields the first seed and the number of episodes of each shard of a cell."""
-    for start in range(0, suite.episodes, SHARD_EPISODES[engine]):
-        yield suite.seed + start, min(SHARD_EPISODES[engine], suite.episodes - start)
+    for start in range(0, suite.episodes, SHARD_EPISODES):
+        yield suite.seed + start, min(SHARD_EPISODES, suite.episodes - start)
 
 
-def places_of(suite: Suite, engine: EngineName) -> Places:
+def places_of(suite: Suite) -> Places:
     """Returns the shards that a finished run of a suite has."""
     cells = range(len(suite.egos) * len(suite.surroundings))
-    return {(cell, first): count for cell in cells for first, count in blocks(suite, engine)}
+    return {(cell, first): count for cell in cells for first, count in blocks(suite)}
 
 
 def shard_named(name: str, places: Places) -> Shard | None:

@@ -6,10 +6,10 @@ from collections.abc import Callable
 import numpy as np
 
 from charms_bench.engine.collision_kinds import ANY_ANGLE, note_collisions
-from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.stepping import advance
 from charms_bench.foundation.compiled import is_kept
+from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
@@ -64,7 +64,7 @@ def is_warm() -> bool:
 def compile_parts(tell: Callable[[str, int], None]) -> None:
     """Compiles what every run needs; calls `tell` with each part of `PARTS` that is done, and 1."""
     count = min(os.cpu_count() or 1, 2)
-    for part, _ in in_processes(_compile, PARTS, count, environment=worker_environment("batched")):
+    for part, _ in in_processes(_compile, PARTS, count, environment=ONE_THREAD):
         tell(part, 1)
 
 

@@ -106,13 +106,12 @@ def test_json_is_all_there_is_on_standard_output(suite_file: Path, copied_run: P
     assert (speed["agent"], speed["paper"]) == ("IDM", 23.67)
 
 
-def test_the_reference_engine_and_other_episodes_are_options(suite_file: Path) -> None:
+def test_other_episodes_are_options(suite_file: Path) -> None:
     output = suite_file.parent / "run"
-    options = ["--engine", "highway-env", "--episodes", 1, "--seed", 5, "--workers", 1]
+    options = ["--episodes", 1, "--seed", 5, "--workers", 1]
     result = charms_bench("run", suite_file, *options, "--output", output)
     assert result.returncode == 0, result.stderr
     manifest = json.loads((output / "manifest.json").read_text())
-    assert manifest["engine"] == "highway-env"
     assert (manifest["episodes"], manifest["suite"]["seed"]) == (1, 5)
 
 
@@ -245,7 +244,7 @@ def test_what_a_traffic_cannot_be_asked_is_one_message(arguments: list[str], mes
 @pytest.mark.parametrize(
     ("command", "says"),
     [
-        ("show", "A [bold]small[/] suite\n2 × 1 cells of 6 episodes, seeds from 0, engine batched"),
+        ("show", "A [bold]small[/] suite\n2 × 1 cells of 6 episodes, seeds from 0"),
         ("compare", "differences are separated from 0"),
         ("edge-cases", "what happened"),
     ],

@@ -49,8 +49,6 @@ NOT_RUN = {
     "recordings that are not public",
     "charms-bench likeness suites/likeness.yaml RECORDINGS --population my-road.json "
     "--figure likeness.png": "takes minutes, and recordings that are not public",
-    "charms-bench likeness runs/plan/validation.yaml i24_car_following.parquet --population i24 "
-    "--half selection": "takes minutes, and recordings that are not in the project",
     "python mine.py": "tests/agents/test_your_policy.py trains it",
     "charms-bench export mine.zip mine.onnx": "it is not trained here",
     **dict.fromkeys(

@@ -73,14 +73,6 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy that draws random numbers",
-        """
-def decide(self, observations):
-    return rng.integers(0, 5, len(observations))
-""",
-        "rng = np.random.default_rng(1)",
-    ),
-    _policy(
         "A policy that draws random weights when it is created",
         """
 def __init__(self):
@@ -96,13 +88,6 @@ def decide(self, observations):
 def decide(self, observations):
     place = observations[:, 0, 2]
     return np.where(place > place.mean(), FASTER, SLOWER)
-""",
-    ),
-    _policy(
-        "A policy whose actions depend on a vehicle's place in the batch",
-        """
-def decide(self, observations):
-    return np.arange(len(observations)) % 5
 """,
     ),
     _policy(
@@ -237,24 +222,6 @@ def decide(self, observations):
     return actions
 """,
     ),
-    _policy(
-        "A policy that overwrites its memory after it has decided",
-        """
-memory_width = 2
-def decide(self, observations, memory, noise):
-    after = memory + 1
-    memory[:] = 5.0
-    return np.full(len(observations), IDLE), after
-""",
-    ),
-    _traffic(
-        "A traffic of one agent that assigns another",
-        """
-agents = ("idm_mobil",)
-def assign(self, rng, scenes, vehicles):
-    return np.full((scenes, vehicles), "level_0")
-""",
-    ),
     _traffic(
         "A traffic of one agent that assigns too few",
         """
@@ -281,14 +248,6 @@ def decision_hz(self):
 def decide(self, observations):
     return np.full(len(observations), IDLE)
 """,
-    ),
-    _policy(
-        "A policy that raises what is no `Exception`",
-        """
-def decide(self, observations):
-    raise GeneratorExit
-""",
-        needs_worker=True,
     ),
     _policy(
         "A policy that raises `KeyboardInterrupt`",

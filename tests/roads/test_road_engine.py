@@ -307,7 +307,7 @@ def test_the_table_says_where_target_speeds_begin_lower() -> None:
 
 def test_an_unknown_road_is_rejected_by_name() -> None:
     with pytest.raises(InputError, match=r"no road named 'merge-v9'.*merge-v0"):
-        plan(suite("idm_mobil", "merge-v9"), "batched")
+        plan(suite("idm_mobil", "merge-v9"))
 
 
 HUMANS = OneAgent("human")

@@ -139,7 +139,7 @@ def test_tls_without_a_certificate_says_where_dask_looks_for_one() -> None:
     agent = {"egos": [{"agent": "idm_mobil"}], "traffic_models": [{"traffic": "idm_mobil"}]}
     suite = Suite.model_validate({"suite": "x", "episodes": 1, **agent})
     simulate_all = on_cluster("tls://127.0.0.1:8786")
-    shards = simulate_all(list(plan(suite, "batched").values()), 1.0, print)
+    shards = simulate_all(list(plan(suite).values()), 1.0, print)
     with pytest.raises(ClusterError, match=r"needs a certificate.*distributed\.comm\.tls\.ca-file"):
         next(shards)
 
@@ -171,21 +171,6 @@ def test_a_server_of_another_kind_is_named(
     assert f"error: no Dask scheduler answers at {address}" in said
     assert reason in said
     assert "Traceback" not in said
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--workers", "2"], "workers are processes on this machine; a cluster has its own"),
-        (["--engine", "highway-env"], "a cluster runs the engine 'batched'"),
-    ],
-)
-def test_what_a_cluster_cannot_do_is_refused(
-    suite_file: Path, tmp_path: Path, options: list[str], message: str
-) -> None:
-    run = start(suite_file, tmp_path / "run", "--cluster", "tcp://127.0.0.1:9", *options)
-    code, said = finished(run)
-    assert (code, message in said) == (2, True)
 
 
 def test_a_difference_names_what_was_found_and_what_was_expected() -> None:

@@ -25,14 +25,13 @@ SIMULATES = """\
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs import shard
 from charms_bench.world.scene import SceneSettings
 for name in ("stackelberg", "charms", "imitation"):
     agent, traffic = AgentSpec(name=name), TrafficSpec(name="pch")
     task = shard.ShardTask(
-        title="a", engine="batched", scene=SceneSettings(duration_s=1.0), ego=agent,
+        title="a", scene=SceneSettings(duration_s=1.0), ego=agent,
         traffic=traffic, networks={}, first_seed=0, episodes=2,
         software=shard.installed(agent, traffic, {}),
     )
@@ -98,7 +97,6 @@ def test_the_modules_that_decide_rows_are_those_of_a_simulation() -> None:
         "charms_bench.engine.batched",
         "charms_bench.engine.highway_env",
         "charms_bench.recording.recording",
-        "charms_bench.engine.exact_maths",
         "charms_bench.plugins.onnx_policy",
         "charms_bench.runs.shard",
         "charms_bench.world.scene",

@@ -45,12 +45,12 @@ def suite_of(folder: Path, traffic: object, ego: object = "idm_mobil") -> Suite:
 
 
 def rows_of(folder: Path, traffic: object) -> ShardFiles:
-    (task,) = plan(suite_of(folder, traffic), "batched").values()
+    (task,) = plan(suite_of(folder, traffic)).values()
     return simulate(task)
 
 
 def key_of(folder: Path, traffic: object) -> str:
-    (task,) = plan(suite_of(folder, traffic), "batched").values()
+    (task,) = plan(suite_of(folder, traffic)).values()
     return task.key
 
 
@@ -141,7 +141,7 @@ def test_an_agent_that_cannot_drive_on_roads_leaves_the_other_cells_and_is_named
     given = {"suite": "s", "episodes": 1, "egos": egos, "roads": ["merge-v0", "u-turn-v0"]}
     suite = Suite.model_validate(given, context={"folder": tmp_path})
     failed: dict[int, CharmsBenchError] = {}
-    assert {shard.cell for shard in plan(suite, "batched", failed)} == {2, 3}
+    assert {shard.cell for shard in plan(suite, failed)} == {2, 3}
     error = combined(suite, failed)
     assert f"(also {network.name} in u-turn-v0)" in str(error)
     assert not hasattr(error, "__notes__")

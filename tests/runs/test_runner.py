@@ -21,6 +21,7 @@ from charms_bench.runs.resumable_folder import KINDS
 from charms_bench.runs.runner import plan, run
 from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Suite
+from charms_bench.testing.verify import cases_of, verify
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 SMALL: dict[str, Any] = {
@@ -38,7 +39,7 @@ def suite(**changes: object) -> Suite:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setitem(shards.SHARD_EPISODES, "batched", 10)
+    monkeypatch.setattr(shards, "SHARD_EPISODES", 10)
     return
 
 
@@ -265,7 +266,7 @@ def test_a_run_of_which_every_cell_fails_has_no_rows(tmp_path: Path) -> None:
 
 def test_a_shards_key_follows_the_agents_options_and_the_scene() -> None:
     def keys(**changes: object) -> set[str]:
-        return {shard.key for shard in plan(suite(**changes), "batched")}
+        return {shard.key for shard in plan(suite(**changes))}
 
     eager = [{"agent": {"name": "stackelberg", "options": {"gain": 0.05}}}]
     calm = [{"agent": {"name": "stackelberg", "options": {"gain": 0.2}}}]
@@ -273,17 +274,14 @@ def test_a_shards_key_follows_the_agents_options_and_the_scene() -> None:
     assert not keys() & keys(scene={"lanes": 4})
 
 
-def test_both_engines_record_the_same_episodes_with_the_outside_plugin(tmp_path: Path) -> None:
+def test_a_plugin_drives_highway_envs_own_vehicles_in_the_same_way() -> None:
     scene = {"duration_s": 4.0, "traffic_vehicles": 8, "density": 2.0}
     egos = [{"agent": "outside_policy"}, {"agent": "outside_model"}]
     both = suite(
         episodes=3, scene=scene, egos=egos, traffic_models=[{"traffic": "outside_traffic"}]
     )
-    ours = run(both, tmp_path / "batched", "batched", workers=1).cells()
-    theirs = run(both, tmp_path / "highway-env", "highway-env", workers=1).cells()
-    for a, b in zip(ours, theirs, strict=True):
-        assert a.episodes.equals(b.episodes)
-        assert a.steps.equals(b.steps)
+    for found in verify(cases_of(both), episodes=3, seed=0, workers=1):
+        assert (found.episodes, found.largest, found.differences) == (3, 0.0, ())
 
 
 def test_a_large_suite_makes_each_cell_agent_and_traffic_once(
@@ -300,6 +298,6 @@ def test_a_large_suite_makes_each_cell_agent_and_traffic_once(
     egos = [{"agent": "outside_policy", "label": f"ego {k}"} for k in range(12)]
     traffics = [{"traffic": "idm_mobil", "label": f"traffic {k}"} for k in range(11)]
     large = suite(egos=egos, traffic_models=traffics)
-    assert len(plan(large, "batched")) == 12 * 11
+    assert len(plan(large)) == 12 * 11
     assert made == {"outside_policy": 1, "idm_mobil": 2}  # as an agent and as a traffic
     assert large.cells[0] is large.cells[0]

@@ -69,7 +69,7 @@ def rows() -> dict[str, pl.DataFrame]:
         "egos": [{"agent": "idm_mobil"}],
         "roads": [ROAD],
     }
-    (task,) = plan(Suite.model_validate(suite), "batched").values()
+    (task,) = plan(Suite.model_validate(suite)).values()
     return {kind: pl.read_parquet(BytesIO(data)) for kind, data in simulate(task).items()}
 
 

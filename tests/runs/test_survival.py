@@ -52,7 +52,7 @@ import signal
 from charms_bench.runs import shards
 from charms_bench.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever who starts this has ignored
-shards.SHARD_EPISODES["batched"] = 5
+shards.SHARD_EPISODES = 5
 main()
 """
 

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import Linear, Sequential
-from torch.nn.functional import log_softmax
+from torch.nn.functional import log_softmax, mse_loss
 
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.hyperparameters import Hyperparameters
@@ -23,7 +23,6 @@ from charms_agents.training.network import (
     Arrays,
     load_state,
     side_by_side,
-    squared_error,
     state_arrays,
     untrained,
 )
@@ -152,7 +151,10 @@ class DoubleDQN:
                 else:
                     value = regularised(online, next_values[k], log_prior[k], self.h.prior_weight)
                 wanted = rewards[k] + factors[k] * value
-            losses[k] = squared_error(self.online, observations[k], actions[k], wanted)
+            self.optimizer.zero_grad()
+            values = self.online(observations[k]).gather(1, actions[k])[:, 0]
+            mse_loss(values, wanted).backward()  # type: ignore[no-untyped-call]  # of torch
+            losses[k] = (values.detach() - wanted).square().mean()
             torch.nn.utils.clip_grad_norm_(parameters, self.h.max_gradient_norm)
             self.optimizer.step()
         self.gradient_steps += gradient_steps

@@ -84,7 +84,6 @@ def _provenance(source: Source) -> dict[str, Any]:
         versions = {"charms-bench": manifest.get("charms_bench"), **manifest.get("versions", {})}
         machine = manifest.get("machine", {})
         facts |= {
-            "engine": manifest.get("engine"),
             "suite's hash": manifest.get("suite_sha256"),
             "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
             "machine": ", ".join(f"{name} {value}" for name, value in machine.items()),

@@ -50,7 +50,7 @@ def rows_of(
 
 def simulated(suite: Suite, index: int) -> Row:
     """Simulates a cell; returns what is shown of it, and the hash of each column."""
-    (task,) = plan_cell(suite, index, "batched").values()
+    (task,) = plan_cell(suite, index).values()
     tables = {kind: pl.read_parquet(BytesIO(data)) for kind, data in simulate(task).items()}
     if suite.roads:  # where the traffic was not yet counted when rows were recorded
         tables["drivers"] = tables["drivers"].filter("is_ego")

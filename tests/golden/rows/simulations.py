@@ -50,7 +50,7 @@ def simulation_of(
     """A simulation of the first seeds; `own` are agents that are not installed."""
     agents = {name: own.get(name) or make_agent(name) for name in {ego, *traffic.agents}}
     settings = scene if isinstance(scene, SceneSettings) else SceneSettings.model_validate(scene)
-    engine = engine_on(settings, "batched")
+    engine = engine_on(settings)
     simulation = Simulation(settings, seeds, ego, traffic, agents, engine)
     simulation.reset(np.arange(seeds, dtype=np.uint64))
     return simulation

@@ -1,17 +1,15 @@
 """Values of training seeds: their mean with Student's t interval, the worst, and their tables."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import polars as pl
 from scipy import special
 
-from charms_bench.metrics import PAPER, STANDARD, Metric
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
-from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.statistics.intervals import CONFIDENCE, Bounds
 from charms_bench.world.scene import Floats
 
@@ -21,39 +19,6 @@ OVER = "over the seeds"
 Worst = Callable[[Floats], float]
 Columns = dict[str, tuple[str, str, Worst | None]]
 """Header and format of each metric, and which of the seeds' values is the worst, if any is."""
-
-
-def furthest(low: float, high: float) -> Worst:
-    """Of values that are to lie between two limits, the one that lies furthest outside."""
-    return lambda values: float(max(values, key=lambda each: max(low - each, each - high)))
-
-
-def metrics_of(names: Sequence[str]) -> list[Metric]:
-    """The metrics by name, those of the set `standard` first."""
-    known = {each.name: each for found in (PAPER, STANDARD) for each in found.metrics}
-    return [known[name] for name in dict.fromkeys(names)]
-
-
-def of_seeds(run: FinishedRun, names: Sequence[str]) -> pl.DataFrame:
-    """The metrics of every cell of a run, one row per traffic model, ego and seed.
-
-    The seed is that of the ego or else that of the traffic model; rules have none.
-    """
-    metrics = metrics_of(names)
-    records: list[dict[str, Any]] = []
-    for cell in run.cells():
-        (traffic, _, of_traffic), (ego, _, of_ego) = (
-            each.partition(SEED) for each in (cell.traffic, cell.agent)
-        )
-        seed = of_ego or of_traffic
-        record: dict[str, Any] = {"traffic": traffic, "ego": ego}
-        record["seed"] = int(seed) if seed else None
-        for metric, each in zip(metrics, cell.sums(metrics, run.suite.scene), strict=True):
-            record[metric.name] = float(metric.value(each.sum(axis=0)))
-        records.append(record)
-    return pl.DataFrame(records, infer_schema_length=None).with_columns(
-        pl.selectors.float().round_sig_figs(6)
-    )
 
 
 def t_interval(values: Floats) -> Bounds:
