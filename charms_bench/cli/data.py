@@ -213,10 +213,18 @@ def calibrate(
 @app.command(rich_help_panel=DATA)
 def likeness(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
-    recordings: Recordings,
-    population: str = typer.Option(
+    recordings: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDINGS",
+            help="Folder of recordings in highD's format, CSV table of NGSIM, the Parquet table of "
+            "I-24 or I-75, or a folder of CommonRoad scenarios.",
+        ),
+    ],
+    population: str | None = typer.Option(
+        None,
         help="Population that was fitted to these recordings: i24, i75, or a JSON file of "
-        "`charms-bench calibrate`."
+        "`charms-bench calibrate`. Not for CommonRoad scenarios.",
     ),
     half: Literal["both", "selection", "test"] = typer.Option(
         "both",
@@ -234,30 +242,46 @@ def likeness(
 ) -> None:
     """Score how much egos and traffic drive like recorded drivers."""
     from charms_bench.foundation.progress import note
+    from charms_bench.people.in_scenes import scenes_in
     from charms_bench.people.population import read_population
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.likeness import draw
-    from charms_bench.report.likeness_table import likeness_tables
+    from charms_bench.report.likeness_table import basis_of, likeness_tables
+    from charms_bench.runs.likeness import (
+        drive_scenes,
+        likeness_in_scenes,
+        likeness_of_controls,
+        standard,
+    )
     from charms_bench.runs.likeness import likeness as scored
-    from charms_bench.runs.likeness import likeness_of_controls, standard
     from charms_bench.runs.suite import load_suite
 
-    read = load_suite(suite)
+    read, files, basis = load_suite(suite), scenes_in(absolute(recordings)), ""
     rows, of_controls = [], []
+    if files and (population or controls or half != "both"):
+        raise InputError("CommonRoad scenarios: give no --population, --half or --controls")
     with interruptible():
-        against = standard(read, absolute(recordings), read_population(population), half)
-        for each in scored(read, against):
-            note(f"{each.kind} {each.label}")
-            rows.append(each)
-        if controls:
-            note("controls")
-            of_controls = list(likeness_of_controls(read, against))
+        if files:
+            found = drive_scenes(read, files, note)
+            rows, basis = [*likeness_in_scenes(found)], basis_of(found)
+        elif population is None:
+            raise InputError("--population: missing; expected i24, i75 or a file of `calibrate`")
+        else:
+            against = standard(read, absolute(recordings), read_population(population), half)
+            for each in scored(read, against):
+                note(f"{each.kind} {each.label}")
+                rows.append(each)
+            if controls:
+                note("controls")
+                of_controls = list(likeness_of_controls(read, against))
     if figure is not None:
         save(draw(rows), figure)
     if as_json:
         end_with_json([asdict(each) for each in (*rows, *of_controls)])
     for table in likeness_tables(rows, of_controls):
         print_table(table)
+    if basis:
+        say(basis)
     if figure is not None:
         say(f"Figure: {shown(figure)}")
 

@@ -15,6 +15,7 @@ import numpy as np
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import write_bytes
+from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.plan import Plan
 from charms_bench.world.road import position, width_at
 from charms_bench.world.road_network import NO_LINE, SOLID, SOLID_LINE, STRIPED, Network
@@ -23,6 +24,9 @@ from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 FIRST_VEHICLE = 1001
 """Identifier of the obstacle that is vehicle 0; lanelets are counted from 1."""
 PLANNING_PROBLEM = 1_000_000
+FIRST_SIGN = 2_000_000
+SPEED_SIGN = "274"
+"""That of a speed limit in CommonRoad's invented country, ZAM; its value is in m/s."""
 DATE = "1970-01-01"
 """The format requires a date; with this one, the same episode is always the same file."""
 MARGIN_M = 100.0
@@ -67,7 +71,7 @@ def write_commonroad(replay: Replay, path: Path) -> None:
     else:
         moving = replay.plan
         SubElement(tags, "simulated")
-        _add_lanelets_of(root, moving.road)
+        _add_lanelets_of(root, moving.road, replay.settings.network)
     for vehicle in np.nonzero(moving.present.any(axis=0))[0].tolist():
         _add_vehicle(root, moving, vehicle)
     # The planning problem is the ego's start, and as its goal the time when the episode ends.
@@ -99,10 +103,15 @@ def _add_lanelets(root: Element, replay: Replay) -> None:
         SubElement(lanelet, "userOneWay").text = "vehicle"
 
 
-def _add_lanelets_of(root: Element, road: Network) -> None:
-    """The lanes of a network; lane k is the lanelet k + 1."""
+def _add_lanelets_of(root: Element, road: Network, named: NamedRoad | None) -> None:
+    """The lanes of a network, and signs of their speed limits; lane k is the lanelet k + 1."""
     table = road.lanes
-    follows = [_following(road, lane) for lane in range(table.size)]
+    if named is not None and named.file is not None:
+        follows, limits = _in_file(named)
+    else:
+        follows = [_following(road, lane) for lane in range(table.size)]
+        limits = table["speed_limit"].tolist()
+    signs = {limit: FIRST_SIGN + k for k, limit in enumerate(dict.fromkeys(filter(None, limits)))}
     for lane, row in enumerate(table):
         lanelet = SubElement(root, "lanelet", id=str(lane + 1))
         steps = max(1, math.ceil(row["length"] / BEND_DISTANCE_M))
@@ -122,6 +131,32 @@ def _add_lanelets_of(root: Element, road: Network) -> None:
                 SubElement(lanelet, name, ref=str(other + 1), drivingDir="same")
         SubElement(lanelet, "laneletType").text = "unknown"
         SubElement(lanelet, "userOneWay").text = "vehicle"
+        if limit := limits[lane]:
+            SubElement(lanelet, "trafficSignRef", ref=str(signs[limit]))
+    for limit, sign in signs.items():
+        element = SubElement(root, "trafficSign", id=str(sign))
+        inner = SubElement(element, "trafficSignElement")
+        SubElement(inner, "trafficSignID").text = SPEED_SIGN
+        SubElement(inner, "additionalValue").text = _decimal(limit)
+        place = position(road, limits.index(limit), 0.0, 0.0)
+        _add_point(SubElement(element, "position"), *place)
+        SubElement(element, "virtual").text = "true"
+
+
+def _in_file(named: NamedRoad) -> tuple[list[list[int]], list[float | None]]:
+    """The lanes that follow each lane of a map, and its speed limits; None if it states none."""
+    from charms_bench.roads.layout import Layout
+    from charms_bench.roads.map_lanes import driven_lanes, indices_of, map_of
+
+    assert named.file is not None
+    road = map_of(named.file, str(named.sha256))
+    indices = indices_of(road, Layout(driven_lanes(road)))
+    follows: list[list[int]] = [[] for _ in indices]
+    limits: list[float | None] = [None for _ in indices]
+    for lane in road.lanes:
+        follows[indices[lane.id]] = [indices[each] for each in lane.successors]
+        limits[indices[lane.id]] = lane.speed_limit
+    return follows, limits
 
 
 def _following(road: Network, lane: int) -> list[int]:

@@ -53,6 +53,12 @@ def assembled(draft: Draft, name: str) -> RoadMap:
         for other in parts(second)
     }
     known = {lane.id for road in roads for lane in road.lanes}
+    inside = {lane.id for road in roads if road.junction for lane in road.lanes}
+
+    def lit(lane: str) -> str:
+        several = parts(lane)
+        return several[0 if several[0] in inside else -1]
+
     junctions = {*links.values(), *(road.junction for road in roads)} - {""}
     return RoadMap(
         name=name,
@@ -63,12 +69,12 @@ def assembled(draft: Draft, name: str) -> RoadMap:
         junctions=tuple(sorted(junctions)),
         conflicts=tuple(conflicts_of(roads, gives_way)),
         signals=tuple(
-            # A light stands at the end of a lane.
+            # A light stands at the end of a lane, or before a junction.
             replace(
                 each,
                 x=_rounded(each.x - origin[0]),
                 y=_rounded(origin[1] - each.y),
-                lanes=tuple(last for lane in each.lanes if (last := parts(lane)[-1]) in known),
+                lanes=tuple(lit(lane) for lane in each.lanes if lit(lane) in known),
             )
             for each in draft.signals
         ),

@@ -11,7 +11,8 @@ import numpy as np
 from charms_bench.foundation.arrays import Floats
 from charms_bench.maps.draft import Draft, without_repeated
 from charms_bench.maps.elements import Element, printable
-from charms_bench.maps.road_map import MapLane, Signal
+from charms_bench.maps.programs import program_of
+from charms_bench.maps.road_map import MapLane, Program, Signal
 
 VERSIONS = ("2018b", "2020a")
 NO_CAR_LANES = frozenset(
@@ -35,16 +36,23 @@ SPEED_SIGNS = frozenset(
 """The signs of speed limits in the countries of CommonRoad; their value is in m/s."""
 
 
+COLOURS = {"green": True, "inactive": True, "red": False, "redYellow": False, "yellow": False}
+"""Whether vehicles may go on."""
+TURNS = ("left", "straight", "right")
+
+
 class _Reader:
     def __init__(self, root: Element) -> None:
         version = root.get("commonRoadVersion")
         if version not in VERSIONS:
             raise root.fault(f"version {version[:40]!r}; expected {' or '.join(VERSIONS)}")
-        self.draft = Draft(f"CommonRoad {version}")
+        self.draft, self.root = Draft(f"CommonRoad {version}"), root
         self.lanelets: dict[str, Element] = {}
         self.signs: dict[str, Element] = {}
         self.lights: dict[str, Element] = {}
         self.junction_of: dict[str, str] = {}
+        self.turns: dict[str, set[str]] = {}
+        """Where the ways over intersections lead: some of `TURNS`."""
         self.intersections: list[Element] = []
 
     def lanelet(self, element: Element) -> None:
@@ -61,6 +69,8 @@ class _Reader:
                     if each.tag.startswith("successors"):
                         self._check(each)
                         self.junction_of[each.get("ref")] = element.word("id")
+                        turn = each.tag.removeprefix("successors").lower()
+                        self.turns.setdefault(each.get("ref"), set()).add(turn)
         kept = {name for name, each in self.lanelets.items() if self._is_kept(each)}
         points = {name: _points(self.lanelets[name]) for name in self.lanelets if name in kept}
         for group in self._roads(kept):
@@ -166,6 +176,9 @@ class _Reader:
                         lanes.setdefault(other, []).append(name)
             for name, of_lanes in lanes.items():
                 element = known[name]
+                program = self._program(element) if kind == "light" else ()
+                if program:
+                    of_lanes = self._lit(element, of_lanes, kept)
                 x, y = points[of_lanes[0]][-1, :2].tolist()
                 for point in element.inside("position", "point"):
                     x, y, _ = _point(point)
@@ -173,7 +186,36 @@ class _Reader:
                     _text(each) for each in element.inside("trafficSignElement", "trafficSignID")
                 ]
                 code = " ".join(codes)[:80]
-                self.draft.signals.append(Signal(name, kind, x, y, code, tuple(of_lanes)))
+                signal = Signal(name, kind, x, y, code, tuple(of_lanes), program)
+                self.draft.signals.append(signal)
+
+    def _program(self, light: Element) -> Program:
+        """The cycle of a light; empty if it has none or is not active."""
+        phases = []
+        for each in light.inside("cycle", "cycleElement"):
+            duration, colour = each.needed("duration"), _text(each.needed("color"))
+            if colour not in COLOURS:
+                raise each.fault(f"color is {colour[:40]!r}; expected {', '.join(COLOURS)}")
+            seconds = duration.parsed(duration.text, "duration", 0.0)
+            phases.append((seconds, COLOURS[colour]))
+        is_off = any(_text(each) == "false" for each in light.every("active"))
+        if is_off or not sum(duration for duration, _ in phases):
+            return ()
+        step = self.root.number("timeStepSize", low=1e-3, high=10.0)
+        (begins,) = [
+            each.parsed(each.text, each.tag) for each in light.inside("cycle", "timeOffset")
+        ] or [0.0]
+        return program_of([(step * each, is_green) for each, is_green in phases], step * begins)
+
+    def _lit(self, light: Element, lanes: list[str], kept: set[str]) -> list[str]:
+        """The ways over the intersection in the directions of a light, or lanes that lead there."""
+        directions = "".join(_text(each) for each in light.every("direction")).lower()
+        turns = {turn for turn in TURNS if turn in directions}
+        if not turns:
+            return lanes
+        every = [each for name in lanes for each in self.lanelets[name].every("successor")]
+        after = [name for each in every if (name := self._check(each)) in kept]
+        return [*dict.fromkeys(name for name in after if turns & self.turns.get(name, set()))]
 
 
 def read_commonroad(root: Element, children: Iterator[Element]) -> Draft:

@@ -34,6 +34,23 @@ class Area(NamedTuple):
     """Of a vehicle there, rad."""
     before: float
     """How far before its middle it begins, m."""
+    corners: tuple[Pair, ...]
+    """Of a polygon, or the middle of a circle, m."""
+    radius: float = 0.0
+    """Of a circle, m; 0 for a polygon."""
+
+
+class GoalState(NamedTuple):
+    """What a vehicle meets together at the end; what is not stated is infinite."""
+
+    frames: Pair
+    """From when until when."""
+    speeds: Pair
+    """m/s."""
+    headings: Pair
+    """rad."""
+    areas: tuple[Area, ...]
+    """It is in one of them; if there are none, it can be anywhere."""
 
 
 class Problem(NamedTuple):
@@ -45,8 +62,8 @@ class Problem(NamedTuple):
     heading: float
     speed: float
     frame: int
-    goals: tuple[Area, ...]
-    """The ego should get to one of them; if there are none, only to the end of the time."""
+    goals: tuple[GoalState, ...]
+    """The ego should meet one of them."""
     last: int | None
     """The last frame in which it may get there; None if the file does not say."""
 
@@ -203,18 +220,27 @@ def _frame(state: Element) -> int:
 def _problem(element: Element, lanelets: Mapping[str, Element], origin: Pair) -> Problem:
     initial = element.needed("initialState")
     x, y, heading, speed = _state(initial, origin)
-    goals: list[Area] = []
-    last = []
+    goals = []
     for goal in element.every("goalState"):
-        goals += _areas(goal, lanelets, origin)
-        for end in (*goal.inside("time", "intervalEnd"), *goal.inside("time", "exact")):
-            last.append(int(end.parsed(end.text, "time", 0.0, MOST_STATES)))
-    return Problem(
-        element.word("id"),
-        *(x, y, heading, speed, _frame(initial)),
-        tuple(goals),
-        max(last, default=None),
-    )
+        low, high = _interval(goal, "orientation")
+        times, speeds = _interval(goal, "time"), _interval(goal, "velocity")
+        areas = tuple(_areas(goal, lanelets, origin))
+        goals.append(GoalState(times, speeds, (-high, -low), areas))
+    last = max((int(each.frames[1]) for each in goals if each.frames[1] < math.inf), default=None)
+    return Problem(element.word("id"), *(x, y, heading, speed, _frame(initial)), tuple(goals), last)
+
+
+def _interval(goal: Element, tag: str) -> Pair:
+    """The interval of a quantity, from minus to plus infinity if a goal state does not have it."""
+    element = goal.first(tag)
+    if element is None:
+        return -math.inf, math.inf
+    exact = element.first("exact")
+    ends = [exact] * 2 if exact else [element.needed(f"interval{end}") for end in ("Start", "End")]
+    low, high = (each.parsed(each.text, tag) for each in ends)
+    if low > high:
+        raise element.fault(f"begins at {low:g} and ends at {high:g}; expected an end behind it")
+    return low, high
 
 
 def _areas(goal: Element, lanelets: Mapping[str, Element], origin: Pair) -> Iterator[Area]:
@@ -230,10 +256,29 @@ def _areas(goal: Element, lanelets: Mapping[str, Element], origin: Pair) -> Iter
                 is_circle = each.tag == "circle"
                 size = each.needed("radius" if is_circle else "length")
                 before = size.parsed(size.text, size.tag, 0.0) / (1 if is_circle else 2)
-                heading = _heading(goal if goal.first("orientation") else each)
-                yield Area(*_place(each.needed("center"), origin), -heading, before)
+                heading = -_heading(goal if goal.first("orientation") else each)
+                place = _place(each.needed("center"), origin)
+                if is_circle:
+                    yield Area(*place, heading, before, (place,), before)
+                else:
+                    turn = each.first("orientation")
+                    turned = 0.0 if turn is None else -turn.parsed(turn.text, "orientation")
+                    width = each.needed("width")
+                    sizes = 2 * before, width.parsed(width.text, "width", 0.0)
+                    yield Area(*place, heading, before, _corners(place, turned, *sizes))
             else:
                 raise each.fault("is no goal that is read; expected lanelet, rectangle or circle")
+
+
+def _corners(place: Pair, heading: float, length: float, width: float) -> tuple[Pair, ...]:
+    """Those of a rectangle around a place."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    halves = [(along * length / 2, aside * width / 2) for along, aside in corners]
+    return tuple(
+        (place[0] + cos * along - sin * aside, place[1] + sin * along + cos * aside)
+        for along, aside in halves
+    )
 
 
 def _heading(element: Element) -> float:
@@ -256,7 +301,8 @@ def _area_of_lanelet(lanelet: Element, origin: Pair) -> Area:
     k = int(np.searchsorted(along, along[-1] / 2)) - 1
     x, y = (np.interp(along[-1] / 2, along, each) for each in centre.T)
     dx, dy = (centre[k + 1] - centre[k]).tolist()
-    return Area(float(x), float(y), math.atan2(dy, dx), float(along[-1] / 2))
+    corners = tuple((float(x), float(y)) for x, y in (*sides[0], *sides[1][::-1]))
+    return Area(float(x), float(y), math.atan2(dy, dx), float(along[-1] / 2), corners)
 
 
 def _text(element: Element | None) -> str:

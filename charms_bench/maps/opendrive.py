@@ -51,6 +51,9 @@ class _Reader:
     def junction(self, element: Element) -> None:
         self.junctions[element.word("id")] = element
 
+    def controller(self, element: Element) -> None:
+        self.draft.leave_out("controller of traffic lights, which has no program")
+
     def road(self, element: Element) -> None:
         name = element.word("id")
         if name in self.roads:
@@ -166,7 +169,12 @@ class _Reader:
 def read_opendrive(root: Element, children: Iterator[Element]) -> Draft:
     """What an OpenDRIVE file describes; raises a `MapError`."""
     reader = _Reader()
-    known = {"header": reader.header, "road": reader.road, "junction": reader.junction}
+    known = {
+        "header": reader.header,
+        "road": reader.road,
+        "junction": reader.junction,
+        "controller": reader.controller,
+    }
     for element in children:
         if element.tag in known:
             known[element.tag](element)

@@ -164,7 +164,8 @@ class FileSignal(FrozenModel):
     code: Line = ""
     """What the map calls it, such as the number of a sign."""
     lanes: Names = ()
-    """The ids of the lanes for which it is."""
+    """The ids of the lanes for which it is: vehicles stop at their ends, or before those in a
+    junction, if only some of the ways from a lane have this light."""
     program: Annotated[tuple[Phase, ...], Field(strict=False)] = ()
     """How long the light is `green` or `red`, s, such as `[[20, "green"], [25, "red"]]`; it begins
     with an episode and is repeated. Without a program, vehicles do not look at the light."""
@@ -198,7 +199,7 @@ class RoadFile(FrozenModel):
     junctions: Names = ()
     """The names of the junctions."""
     left_out: Annotated[dict[str, int], Field(default_factory=dict)]
-    """How many lanes of the map are not in the file, by the reason."""
+    """How many lanes, and programs of lights, of the map are not in the file, by the reason."""
     roads: Annotated[tuple[FileRoad, ...], Field(strict=False, min_length=1)]
     """All roads."""
     conflicts: Annotated[tuple[FileConflict, ...], Field(strict=False)] | None = None

@@ -33,6 +33,8 @@ SHORTEST_POLYLINE_M = 1.0
 UNSTATED_SPEED_MPS = 20.0
 """The speed limit of lanes whose map states none [`AbstractLane`]."""
 Exact = StraightLane | SineLane | CircularLane
+Program = tuple[tuple[float, str], ...]
+"""How long a light is `green` or `red`, s, again and again from the start on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +130,8 @@ class Signal:
     code: str = ""
     """What the map calls it, such as the number of a sign."""
     lanes: tuple[str, ...] = ()
-    """The lanes for which it is."""
-    program: tuple[tuple[float, str], ...] = ()
-    """How long a light is `green` or `red`, s, again and again from the start on."""
+    """The lanes for which it is: vehicles stop at their ends, or before those in a junction."""
+    program: Program = ()
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,7 @@ class RoadMap:
     signals: tuple[Signal, ...] = ()
     gaps: tuple[Gap, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
-    """How many lanes were left out, by the reason."""
+    """How many lanes, and programs of lights, were left out, by the reason."""
 
     @property
     def lanes(self) -> Iterator[MapLane]:

@@ -11,7 +11,8 @@ from charms_bench.errors import MapError
 from charms_bench.foundation.arrays import Floats
 from charms_bench.maps.draft import Draft, without_repeated
 from charms_bench.maps.elements import LONGEST_NAME, Element
-from charms_bench.maps.road_map import MapLane, Signal
+from charms_bench.maps.programs import program_of
+from charms_bench.maps.road_map import MapLane, Program, Signal
 
 CAR = "passenger"
 """SUMO's class of cars."""
@@ -19,6 +20,8 @@ WIDTH_M = 3.2
 """Of lanes that state none [SUMO_const_laneWidth]."""
 NOT_ROADS = ("crossing", "walkingarea")
 """The functions of edges on which nobody drives."""
+GREEN = frozenset("GgoO")
+"""The states of a link in which vehicles may go on, also where the light is off."""
 Link = tuple[str, int]
 """A junction, and which of its links it is."""
 
@@ -33,6 +36,7 @@ class _Reader:
         self.roundabouts: set[str] = set()
         self.lanes: dict[str, list[str]] = {}
         """The ids of an edge's lanes, by their index."""
+        self.programs: dict[str, Element] = {}
 
     def edge(self, element: Element) -> None:
         name = element.word("id")
@@ -51,6 +55,17 @@ class _Reader:
         # An internal junction is a point at which vehicles wait within another junction.
         if element.get("type") != "internal":
             self.junctions[element.word("id")] = element
+
+    def program(self, element: Element) -> None:
+        name, kind = element.word("id"), element.get("type", "static")
+        jumps = any(each.get("next") for each in element.every("phase"))
+        if kind != "static" or jumps:
+            reason = "with jumps" if jumps else f"of type {kind[:40]!r}"
+            self.draft.leave_out(f"program of a traffic light {reason}")
+        elif name in self.programs:
+            self.draft.leave_out("further program of a traffic light")
+        else:
+            self.programs[name] = element
 
     def roundabout(self, element: Element) -> None:
         self.roundabouts |= set(element.get("edges").split())
@@ -98,7 +113,7 @@ class _Reader:
         known = {lane for lanes in self.lanes.values() for lane in lanes}
         of_link = self._links_of_junctions([one for one, _ in ends])
         found: dict[str, set[Link]] = {}
-        lights: dict[tuple[str, str], None] = {}
+        lights: dict[tuple[str, str], dict[str, Program]] = {}
         for k, (element, (one, other)) in enumerate(zip(self.connections, ends, strict=True)):
             via = element.get("via")
             if via and via not in known:
@@ -115,16 +130,38 @@ class _Reader:
             if k in of_link:
                 found.setdefault(via or f"{one}->{other}", set()).add(of_link[k])
             if element.get("tl"):
-                lights[element.get("tl"), one] = None
+                ways = lights.setdefault((element.get("tl"), one), {})
+                ways[via or one] = self._program_of(element)
         # A way over a junction can be interrupted by an internal junction: it stays one link.
         for element, (one, _) in zip(self.connections, ends, strict=True):
             if one in found and element.get("via"):
                 found.setdefault(element.get("via"), set()).update(found[one])
         self._add_right_of_way(found)
         place = {lane.id: lane.points[-1] for road in self.draft.roads for lane in road.lanes}
-        for light, lane in lights:
+        for (light, lane), ways in lights.items():
             x, y = place[lane][:2].tolist()
-            self.draft.signals.append(Signal(light, "light", x, y, "", (lane,)))
+            if len(programs := {*ways.values()}) == 1:
+                ways = {lane: programs.pop()}
+            for each, program in ways.items():
+                self.draft.signals.append(Signal(light, "light", x, y, "", (each,), program))
+
+    def _program_of(self, connection: Element) -> Program:
+        """The program of a link; empty if the network states none that is read."""
+        element = self.programs.get(connection.get("tl"))
+        if element is None:
+            return ()
+        number, phases = connection.whole("linkIndex"), []
+        for phase in element.every("phase"):
+            state = phase.get("state")
+            if not 0 <= number < len(state):
+                raise phase.fault(
+                    f"state is {state[:40]!r}, without the link {number} of {connection.named()} "
+                    f"on line {connection.line}"
+                )
+            phases.append((phase.number("duration", low=0.0), state[number] in GREEN))
+        if not sum(seconds for seconds, _ in phases):
+            raise element.fault("has no phase that lasts; expected a duration above 0")
+        return program_of(phases, element.number("offset", 0.0))
 
     def _links_of_junctions(self, starts: list[str]) -> dict[int, Link]:
         """Which link of its junction each connection is, for those that `<request>` rows describe.
@@ -181,6 +218,7 @@ def read_sumo(root: Element, children: Iterator[Element]) -> Draft:
         "edge": reader.edge,
         "connection": reader.connection,
         "junction": reader.junction,
+        "tlLogic": reader.program,
         "roundabout": reader.roundabout,
     }
     for element in children:

@@ -127,7 +127,7 @@ def drive_behind(
         np.array([part.driver for part in parts]),
         gaps.reshape(shape),
         speeds.reshape(shape),
-        np.array([part.leader_speed[::RATE_HZ] for part in parts]),
+        np.array([part.leader_speed[::RATE_HZ] for part in every]).reshape(shape),
         lanes,
     )
 

@@ -76,17 +76,17 @@ class _Sums:
         shape = driven.speed.shape[1], drivers or found.size
         self.strata = [np.zeros((*shape, _STRATA, bins)) for bins in _BINS]
         self.events = np.zeros((*shape, len(_PRIORS)))
-        self.seconds = np.zeros(shape[1])
+        self.seconds = np.zeros(shape)
         for d in range(shape[1]):
             own = number == d
-            leader_speed = driven.leader_speed[own]
             for m in range(shape[0]):
                 speed, gap = driven.speed[own, m], driven.gap[own, m]
+                leader_speed = driven.leader_speed[own, m]
                 for total, counts in zip(
                     self.strata, _histograms(speed, gap, leader_speed), strict=True
                 ):
                     total[m, d] = counts
-                self.events[m, d], self.seconds[d] = _events(speed, gap)
+                self.events[m, d], self.seconds[m, d] = _events(speed, gap)
         self.lanes = driven.lanes
 
     def keep(self, strata: Bools) -> "_Sums":
@@ -292,7 +292,7 @@ def _apart(of_human: Sequence[Floats], of_tested: Sequence[Floats]) -> Floats:
 
 
 def _histograms(speed: Floats, gap: Floats, leader_speed: Floats) -> list[Floats]:
-    """(strata, bins) seconds by acceleration, jerk and reversal, of speeds and gaps (S, 31)."""
+    """(strata, bins) seconds by acceleration, jerk and reversal, of speeds and gaps (S, T)."""
     acceleration = np.diff(speed, axis=-1)
     jerk, after = np.diff(acceleration, axis=-1), acceleration[:, 1:]
     reverses = reversals(acceleration).astype(np.int64)
@@ -304,9 +304,10 @@ def _histograms(speed: Floats, gap: Floats, leader_speed: Floats) -> list[Floats
     ):
         stratum = stratum * (len(edges) - 1) + _bin(value, edges)
     found = []
+    known = np.isfinite(jerk)
     binned = _bin(after, ACCELERATIONS_MPS2), _bin(jerk, JERKS_MPS3), reverses
     for values, bins in zip(binned, _BINS, strict=True):
-        counts = np.bincount((stratum * bins + values).ravel(), minlength=_STRATA * bins)
+        counts = np.bincount((stratum * bins + values)[known], minlength=_STRATA * bins)
         found.append(counts.reshape(_STRATA, bins).astype(np.float64))
     return found
 
@@ -317,11 +318,12 @@ def _bin(values: Floats, edges: tuple[float, ...]) -> Ints:
 
 def _events(speed: Floats, gap: Floats) -> tuple[Floats, int]:
     """(3,) seconds of hard braking and of short headways, collisions, and all seconds."""
-    is_hard = np.diff(speed, axis=-1) < -HARD_BRAKING_MPS2
+    acceleration = np.diff(speed, axis=-1)
+    is_hard = acceleration < -HARD_BRAKING_MPS2
     is_short = is_within(gap[:, 1:], speed[:, 1:], SHORT_HEADWAY_S)
     collided = (gap <= 0).any(axis=-1)
     counted = is_hard.sum(), is_short.sum(), collided.sum()
-    return np.array(counted, dtype=np.float64), is_hard.size
+    return np.array(counted, dtype=np.float64), int(np.isfinite(acceleration).sum())
 
 
 def _rates(driven: _Sums, weights: Floats, lanes: Floats, half_km: Floats, m: int = 0) -> Floats:
@@ -330,7 +332,7 @@ def _rates(driven: _Sums, weights: Floats, lanes: Floats, half_km: Floats, m: in
     The prior is one of a rate on as many kilometres as half of the recorded drivers drove, so that
     a driver who drives further does not seem to change lanes less often.
     """
-    seconds = weights @ driven.seconds
+    seconds = weights @ driven.seconds[m]
     behind = (weights @ driven.events[m] + _PRIORS) / seconds[:, None]
     changes = PRIOR_EVENTS / half_km
     priors = np.stack([changes, changes, np.full(changes.shape, PRIOR_PER_KM)], axis=-1)

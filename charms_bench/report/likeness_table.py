@@ -2,9 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
+
+from charms_bench.foundation.words import counted
 from charms_bench.people.likeness import COMPONENTS, Score
 from charms_bench.report.table import Table
-from charms_bench.runs.likeness import Likeness
+from charms_bench.runs.likeness import RECORDED_DRIVER, InScenes, Likeness
 
 CONDUCT = {
     "acceleration_std_mps2": ("acceleration std, m/s²", ".2f"),
@@ -34,6 +37,23 @@ def likeness_tables(rows: Sequence[Likeness], controls: Sequence[Likeness]) -> I
     yield Table.plain(conduct, keys, dict(CONDUCT.values()))
     if controls:
         yield controls_table(controls)
+
+
+def basis_of(found: InScenes) -> str:
+    """What scores in recorded scenes rest on, in sentences."""
+    human = found.driven[RECORDED_DRIVER]
+    known = np.isfinite(human.speed[:, 0])
+    scenes, seconds = np.unique(human.driver).size, known[:, 1:].sum()
+    lasts = known.sum(axis=1) - 1
+    horizons = ", ".join(map(str, found.yardstick.horizons_s))
+    text = (
+        f"Rests on {seconds:,} s of {counted(human.driver.size, 'recorded driver')} in "
+        f"{counted(scenes, 'scene')} of {lasts.min()} to {lasts.max()} s.\n"
+        f"closed loop: place and speed after {horizons} s.\n"
+        "Not computed, because scenes are too short: gap and speed after 10, 20 and 30 s; lane "
+        "changes, undone lane changes and collisions per km."
+    )
+    return "\n".join([text, *(f"Left out: {each}" for each in found.left_out)])
 
 
 def controls_table(controls: Sequence[Likeness]) -> Table:

@@ -531,6 +531,7 @@ class RoadEngine(Shown):
         known = scene.unpacked, self._views.unpacked, self._ways.unpacked
         advance(self.episodes.scenes, *known, rows, ~self._moved[rows], self._kinds, put)
         self._moved[rows] = True
+        self.episodes.scenes.time[rows] += 1 / self._settings.simulation_hz
         for egos in self.configured.values():
             egos.keeps[rows] = False
         self._entries.note(self.episodes.scenes, rows)

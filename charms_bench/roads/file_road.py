@@ -26,17 +26,20 @@ from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.giving_way import (
     LINE_M,
     MOST_AHEAD,
+    RED,
+    RED_BEFORE,
     Ahead,
     Meetings,
     give_way,
     look_along,
     meetings_of,
 )
+from charms_bench.roads.goal_states import have_met
 from charms_bench.roads.inflow import ENTRY_M
 from charms_bench.roads.layout import Edge
 from charms_bench.roads.locating import coordinates_of, forget, locate
 from charms_bench.roads.looking_ahead import BRAKING_MPS2, speed_ahead
-from charms_bench.roads.map_lanes import driven_lanes, levels_of, map_of
+from charms_bench.roads.map_lanes import driven_lanes, indices_of, levels_of, map_of
 from charms_bench.roads.recorded_scenes import enter, on_road, put_recorded, scene_of
 from charms_bench.roads.routes import Routes, plan_way, routes_of
 from charms_bench.roads.scenes import (
@@ -105,7 +108,7 @@ class Lights(NamedTuple):
     cycles: Floats
     """(P,) how long the program is, s."""
     is_red: Ints
-    """(P,)"""
+    """(P,) `RED` or `RED_BEFORE`; 0 for green."""
 
 
 class FileRoad(Task):
@@ -118,11 +121,7 @@ class FileRoad(Task):
         self.map = map_of(Path(config["file"]), config["sha256"])
         super().__init__(config)
         road = self.layout.network
-        self.indices = indices = {
-            lane.id: self.layout.lanes[each.start, each.end, k]
-            for each in self.map.roads
-            for k, lane in enumerate(each.lanes)
-        }
+        self.indices = indices = indices_of(self.map, self.layout)
         """The indices of the lanes by their names in the file."""
         links: list[list[int]] = [[] for _ in indices]
         inside = np.zeros(len(indices), dtype=np.int64)
@@ -247,7 +246,14 @@ class FileRoad(Task):
         )
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
-        """Whether each ego (B,) is on the road of its goal, as far along as that is."""
+        """Whether each ego (B,) is on the road of its goal, as far along as that is.
+
+        The ego of a planning problem meets one of its goal states.
+        """
+        if self._recorded is not None and self._recorded.states is not None:
+            numbers = np.zeros_like(lanes_before) if self.numbers is None else self.numbers
+            rate_hz = float(self._recorded.moments.rate_hz[0])
+            return have_met(scenes, numbers, self._recorded.states, rate_hz)
         return _have_reached(scenes, self.routes)
 
     def ranks(self, scenes: Scenes) -> Ints:
@@ -260,12 +266,14 @@ class FileRoad(Task):
 def _lights(road: RoadMap, indices: Mapping[str, int]) -> Lights:
     """The programs of a map's lights."""
     found: list[tuple[float, ...]] = []
+    inside = {lane.id for each in road.roads if each.junction for lane in each.lanes}
     for each in road.signals:
         cycle = sum(seconds for seconds, _ in each.program)
         for lane in each.lanes:
             begin = 0.0
             for seconds, colour in each.program:
-                phase = indices[lane], begin, begin + seconds, cycle, colour == "red"
+                red = (RED_BEFORE if lane in inside else RED) if colour == "red" else 0
+                phase = indices[lane], begin, begin + seconds, cycle, red
                 found.append(phase)
                 begin += seconds
     lanes, begins, ends, cycles, is_red = np.array(found, np.float64).reshape(-1, 5).T.copy()
@@ -279,7 +287,7 @@ def show_lights(lights: Lights, time: float, is_red: Ints) -> None:
     for p in range(lights.lanes.size):
         now = time % lights.cycles[p]
         if lights.begins[p] <= now < lights.ends[p] and lights.is_red[p]:
-            is_red[lights.lanes[p]] = 1
+            is_red[lights.lanes[p]] = lights.is_red[p]
 
 
 def _places(lanes: Ints, weights: Floats) -> Places:

@@ -46,6 +46,8 @@ MARGIN_M = 0.5
 REACH_M, STEP_M = 40.0, 0.5
 """So far around a place, and in such steps, lanes are compared."""
 GIVES_WAY, UNKNOWN, GOES_FIRST = -1, 0, 1
+RED, RED_BEFORE = 1, 2
+"""A light at the end of a lane, and one before a lane in a junction."""
 
 
 class Meetings(NamedTuple):
@@ -187,8 +189,8 @@ def give_way(
 ) -> None:
     """Says where the vehicles of scene b stop.
 
-    `inside` (L,) says which lanes are in junctions, `is_red` (L,) which have a red light, and
-    `ends_here` (L,) which lead to no other lane.
+    `inside` (L,) says which lanes are in junctions, `is_red` (L,) which have a red light, `RED` or
+    `RED_BEFORE`, and `ends_here` (L,) which lead to no other lane.
     """
     for i in range(scenes.vehicles.shape[1]):
         vehicle, start = scenes.vehicles[b, i], 0.0
@@ -204,7 +206,7 @@ def give_way(
                     ahead.blocked[i] = ahead.lanes[i, k - 1]
                 break
         ahead.is_held[i] = vehicle.crashed or ahead.blocked[i] == ahead.lanes[i, 0]
-        if is_red[ahead.lanes[i, 0]] and start - LINE_M + MARGIN_M >= braking_way(vehicle):
+        if has_red(i, 0, is_red, ahead) and start - LINE_M + MARGIN_M >= braking_way(vehicle):
             ahead.is_held[i] = ahead.counts[i] > 0
         if vehicle.speed < SLOW_MPS and ahead.counts[i] > 0 and not inside[ahead.lanes[i, 0]]:
             ahead.is_held[i] |= start > AWAY_M or is_behind(i, ahead)
@@ -230,13 +232,21 @@ def give_way(
                         stop(scenes, b, i, line_lane, line)
                     if scenes.vehicles[b, i].stop_lane < 0:
                         stop(scenes, b, i, lane, meetings.begins[c] - MARGIN_M)
-            if is_red[lane] and scenes.vehicles[b, i].stop_lane < 0:
+            if has_red(i, k, is_red, ahead) and scenes.vehicles[b, i].stop_lane < 0:
                 stop(scenes, b, i, lane, scenes.road.lanes[lane].length - LINE_M)
             row = scenes.road.lanes[lane]
             if ends_here[lane] and row.next_count > 0 and scenes.vehicles[b, i].stop_lane < 0:
                 stop(scenes, b, i, lane, row.length - LINE_M)
             if scenes.vehicles[b, i].stop_lane >= 0:
                 break
+
+
+@compiled
+def has_red(i: int, k: int, is_red: Ints, ahead: Ahead) -> bool:
+    """Whether a light is red at the end of lane number k of the way of vehicle i."""
+    if is_red[ahead.lanes[i, k]] == RED:
+        return True
+    return bool(k + 1 < ahead.counts[i] and is_red[ahead.lanes[i, k + 1]] == RED_BEFORE)
 
 
 @compiled

@@ -15,7 +15,7 @@ from charms_bench.maps.joining import joined
 from charms_bench.maps.reading import read_road
 from charms_bench.maps.road_map import MapLane, RoadMap
 from charms_bench.maps.sampling import lengths_of
-from charms_bench.roads.layout import Edge
+from charms_bench.roads.layout import Edge, Layout
 from charms_bench.world.named_road import hash_of
 from charms_bench.world.road_network import CircularLane, StraightLane
 
@@ -53,6 +53,15 @@ def map_of(path: Path, sha256: str) -> RoadMap:
             "charms-bench road --around X Y --radius R --to"
         )
     return found
+
+
+def indices_of(road: RoadMap, layout: Layout) -> dict[str, int]:
+    """The indices of a map's lanes in their layout, by their names in the map."""
+    return {
+        lane.id: layout.lanes[each.start, each.end, k]
+        for each in road.roads
+        for k, lane in enumerate(each.lanes)
+    }
 
 
 def driven_lanes(road: RoadMap) -> Iterator[Edge]:

@@ -20,6 +20,7 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, wrap_to_pi
 from charms_bench.maps.commonroad_scene import Area, RecordedScene, read_scene, tracks_of
+from charms_bench.roads.goal_states import GoalStates, goal_states
 from charms_bench.roads.layout import Layout
 from charms_bench.roads.locating import forget
 from charms_bench.roads.map_lanes import driven_lanes, map_of
@@ -56,6 +57,8 @@ class OnRoad(NamedTuple):
     goals: Goals
     duration: float
     """Of its episodes, at most, s."""
+    states: GoalStates | None = None
+    """What the egos of planning problems should meet, in the order of the moments."""
 
 
 @lru_cache(maxsize=2)
@@ -139,11 +142,14 @@ def _at_problems(
     moments = _moments(tracks, egos, of_egos.first, scene.rate_hz, names)
     ends = [each.last or int(scene.tracks.last.max()) for each in scene.problems]
     lasting = min(end - each.frame for end, each in zip(ends, scene.problems, strict=True))
-    goals = np.full(egos.size, -1), np.zeros(egos.size)
-    for k, m in enumerate(_order(names)):
-        goals[0][k], goals[1][k] = _goal(scene.problems[m].goals, road, int(starts[m]), links)
+    goals, order = (np.full(egos.size, -1), np.zeros(egos.size)), _order(names)
+    for k, m in enumerate(order):
+        areas = [area for state in scene.problems[m].goals for area in state.areas]
+        goals[0][k], goals[1][k] = _goal(areas, road, int(starts[m]), links)
+    states = goal_states([scene.problems[m] for m in order])
     lanes = np.append(_last_lanes(road, scene), np.full(egos.size, -1))
-    return OnRoad(moments, Goals(lanes, *goals), min(duration, lasting / scene.rate_hz))
+    duration = min(duration, lasting / scene.rate_hz)
+    return OnRoad(moments, Goals(lanes, *goals), duration, states)
 
 
 def _moments(

@@ -1,20 +1,28 @@
 """The likeness of every ego and traffic of a suite to recorded drivers."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from charms_bench.errors import InputError
-from charms_bench.people.behind import count_lanes, drive_behind, fitting, speeds_of
+from charms_bench.errors import DataError, InputError
+from charms_bench.foundation.words import counted
+from charms_bench.people.behind import FEWEST_DRIVERS, count_lanes, drive_behind, fitting, speeds_of
 from charms_bench.people.blind_lanes import BlindLanes
 from charms_bench.people.calibration import ou_noise, own_parameters
 from charms_bench.people.car_following import IDM, MODELS, drive
 from charms_bench.people.controls import CALIBRATED, controls
 from charms_bench.people.driven import Driven, conduct, in_place, recorded
 from charms_bench.people.held_out import SEED, profile_idm, scales_of, starts
+from charms_bench.people.in_scenes import (
+    AsRecorded,
+    ConstantSpeed,
+    SceneYardstick,
+    drive_in_scene,
+    in_scenes,
+)
 from charms_bench.people.lane_choices import read_lane_counts
 from charms_bench.people.likeness import Score, Yardstick
 from charms_bench.people.population import Population
@@ -23,13 +31,17 @@ from charms_bench.people.trips import RATE_HZ, Trip, read_trips, split
 from charms_bench.people.unseen import unseen
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
-from charms_bench.plugins.traffic import Traffic
+from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.suite import Suite
+from charms_bench.world.named_road import RECORDED, NamedRoad
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Floats
 
 SITUATIONS_LIMIT = 1000
 """Most recorded situations; more are drawn from."""
+RECORDED_DRIVER = "reference", "recorded driver"
+CONSTANT_SPEED = "reference", "constant speed"
+"""The kinds and labels of the ceiling and the floor in recorded scenes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +187,72 @@ def likeness_of_controls(suite: Suite, against: Standard) -> Iterator[Likeness]:
         if label != CALIBRATED:
             apart = against.yardstick.differences(driven[CALIBRATED], each)
         yield replace(_scored("control", label, against, each), differences=apart)
+
+
+@dataclass(frozen=True, eq=False)
+class InScenes:
+    """The recorded drivers of scenes on their own roads, and what a suite's egos do there."""
+
+    yardstick: SceneYardstick
+    driven: dict[tuple[str, str], Driven]
+    """By kind and label: the recorded driver, a vehicle at constant speed, then each ego."""
+    left_out: tuple[str, ...]
+    """Why scenes are left out."""
+
+
+def drive_scenes(
+    suite: Suite, files: Sequence[Path], progress: Callable[[str], None] = lambda done: None
+) -> InScenes:
+    """Lets a suite's egos drive in CommonRoad scenarios, among its first traffic model.
+
+    Raises:
+        InputError: The suite has roads, or its scene says where vehicles are.
+        MapError: A file cannot be read.
+        DataError: Egos can take the place of recorded vehicles in too few of the files.
+    """
+    from charms_bench.roads.settings import on_road  # slow to import
+
+    if suite.roads:
+        raise InputError("likeness in recorded scenes has their roads; expected a suite without")
+    traffic = suite.traffics[0].traffic.make()
+    first = _agents(suite, suite.egos[0].agent, traffic)
+    drivers: dict[tuple[str, str], tuple[str, Traffic, dict[str, Agent], int]] = {
+        RECORDED_DRIVER: ("recorded", OneAgent("recorded"), {"recorded": AsRecorded()}, 1),
+        CONSTANT_SPEED: ("constant", traffic, first | {"constant": ConstantSpeed()}, 1),
+    }
+    for ego in suite.egos:
+        agents = _agents(suite, ego.agent, traffic)
+        drivers["ego", ego.title] = ego.agent.key, traffic, agents, REPETITIONS
+    parts: dict[tuple[str, str], list[Floats]] = {key: [] for key in drivers}
+    left_out = []
+    for file in files:
+        given = {"file": file, "configuration": {"start": RECORDED}}
+        try:
+            settings = on_road(suite.scene, NamedRoad.model_validate(given))
+        except InputError as error:
+            left_out.append(f"{file.name}: {error}")
+            continue
+        for key, driver in drivers.items():
+            parts[key].append(drive_in_scene(settings, *driver))
+        progress(file.name)
+    count = len(files) - len(left_out)
+    if count < FEWEST_DRIVERS:
+        raise DataError(
+            f"egos can drive in {count} of {counted(len(files), 'CommonRoad scenario')}; expected "
+            f"{FEWEST_DRIVERS} or more, of which halves are compared; {'; '.join(left_out[:1])}"
+        )
+    driven = {key: in_scenes(each) for key, each in parts.items()}
+    yardstick = SceneYardstick(driven[RECORDED_DRIVER], driven[CONSTANT_SPEED])
+    return InScenes(yardstick, driven, tuple(left_out))
+
+
+def likeness_in_scenes(found: InScenes) -> Iterator[Likeness]:
+    """The scores of the ceiling, the floor and each ego."""
+    ceiling = {"closed_loop": Score(1.0, 1.0, 1.0), **found.yardstick.ceiling()}
+    for (kind, label), driven in found.driven.items():
+        is_ceiling = (kind, label) == RECORDED_DRIVER
+        scores = ceiling if is_ceiling else found.yardstick.scores(driven)
+        yield Likeness(kind, label, scores, conduct(driven))
 
 
 def _scored(kind: str, label: str, against: Standard, driven: Driven) -> Likeness:

@@ -49,6 +49,8 @@ NOT_RUN = {
     "recordings that are not public",
     "charms-bench likeness suites/likeness.yaml RECORDINGS --population my-road.json "
     "--figure likeness.png": "takes minutes, and recordings that are not public",
+    "charms-bench likeness my-egos.yaml SCENES": "takes minutes, and scenes that are not "
+    "in the project",
     "python mine.py": "tests/agents/test_your_policy.py trains it",
     "charms-bench export mine.zip mine.onnx": "it is not trained here",
     **dict.fromkeys(

@@ -76,3 +76,30 @@ def test_the_format_of_2018_states_speed_limits_in_lanelets(tmp_path: Path) -> N
     found = read(tmp_path, text)
     assert found.format == "CommonRoad 2018b"
     assert [lane.speed_limit for lane in found.lanes] == [27.78]
+
+
+def test_a_light_for_one_direction_is_before_the_ways_in_it(tmp_path: Path) -> None:
+    cycle = "".join(
+        f"<cycleElement><duration>{steps}</duration><color>{colour}</color></cycleElement>"
+        for steps, colour in ((200, "green"), (30, "yellow"), (170, "red"))
+    )
+    lights = "".join(
+        f'<trafficLight id="{name}"><cycle>{cycle}<timeOffset>50</timeOffset></cycle>'
+        f"<direction>{direction}</direction></trafficLight>"
+        for name, direction in ((8, "straightRight"), (9, "all"))
+    )
+    ways = '<successor ref="2"/><successor ref="3"/>'
+    left = [(50, 4), (90, 30)], [(50, 0), (94, 27)]
+    text = commonroad(
+        lanelet(1, *HERE, ways, '<trafficLightRef ref="8"/><trafficLightRef ref="9"/>'),
+        lanelet(2, *ON),
+        lanelet(3, *left),
+        lights,
+        '<intersection id="5"><incoming id="6"><incomingLanelet ref="1"/>'
+        '<successorsStraight ref="2"/><successorsLeft ref="3"/></incoming></intersection>',
+    ).replace(">", ' timeStepSize="0.1">', 1)
+    program = ((5, "red"), (20, "green"), (15, "red"))
+    assert [(each.lanes, each.program) for each in read(tmp_path, text).signals] == [
+        (("2",), program),
+        (("1",), program),
+    ]

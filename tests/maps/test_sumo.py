@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from handmade_maps import connection, edge, lanes_of, read, sumo
 
+from charms_bench.errors import MapError
+
 EAST = edge("east", "0,-4.8 90,-4.8", "0,-1.6 90,-1.6", ends=("a", "J"))
 ON = edge("on", "110,-4.8 200,-4.8", "110,-1.6 200,-1.6", ends=("J", "b"))
 NORTH = edge("north", "100,-100 100,-10", ends=("c", "J"))
@@ -125,3 +127,54 @@ def test_left_hand_networks_count_lanes_from_the_left(tmp_path: Path) -> None:
 def test_roads_of_a_roundabout_are_marked(tmp_path: Path) -> None:
     found = read(tmp_path, sumo(EAST, ON, '<roundabout nodes="a J" edges="east"/>'))
     assert [road.roundabout for road in found.roads] == [True, False]
+
+
+PROGRAM = (
+    '<tlLogic id="light" type="{}" programID="0" offset="{}"><phase duration="20" state="rrG"/>'
+    '<phase duration="3" state="rry"/><phase duration="17" state="GGr"/></tlLogic>'
+)
+
+
+@pytest.mark.parametrize(
+    ("offset", "program"),
+    [
+        (0, ((20, "green"), (20, "red"))),
+        (5, ((5, "red"), (20, "green"), (15, "red"))),
+        (-30, ((10, "red"), (20, "green"), (10, "red"))),
+    ],
+)
+def test_a_static_program_begins_at_its_offset_and_yellow_is_red(
+    tmp_path: Path, offset: int, program: tuple[tuple[float, str], ...]
+) -> None:
+    found = read(tmp_path, sumo(PROGRAM.format("static", offset), *CROSSING))
+    assert [(each.lanes, each.program) for each in found.signals] == [(("north_0",), program)]
+
+
+def test_where_ways_from_a_lane_have_different_lights_each_is_before_the_junction(
+    tmp_path: Path,
+) -> None:
+    others = 'tl="light" linkIndex="{}"'
+    links = (
+        connection("north", "up", (0, 0), ":J_2_0", others=others.format(2))
+        + connection("north", "on", (0, 0), ":J_4_0", others=others.format(0))
+        + connection(":J_2", "up", (0, 0))
+        + connection(":J_4", "on", (0, 0))
+    )
+    ways = edge(":J_2", "100,-10 100,10"), edge(":J_4", "100,-10 102,-6 110,-4.8")
+    text = sumo(PROGRAM.format("static", 0), ON, NORTH, UP, *ways, links)
+    assert {each.lanes: each.program for each in read(tmp_path, text).signals} == {
+        (":J_2_0",): ((20, "green"), (20, "red")),
+        (":J_4_0",): ((23, "red"), (17, "green")),
+    }
+
+
+def test_programs_that_are_not_static_are_left_out(tmp_path: Path) -> None:
+    found = read(tmp_path, sumo(PROGRAM.format("actuated", 0), *CROSSING))
+    assert [each.program for each in found.signals] == [()]
+    assert found.left_out == {"program of a traffic light of type 'actuated'": 1}
+
+
+def test_a_program_without_a_link_is_a_fault(tmp_path: Path) -> None:
+    text = sumo(PROGRAM.format("static", 0).replace("rrG", "rr"), *CROSSING)
+    with pytest.raises(MapError, match=r"<phase> in <tlLogic id='light'>: state is 'rr', without"):
+        read(tmp_path, text)

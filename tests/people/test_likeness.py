@@ -202,8 +202,9 @@ def test_conduct_counts_seconds():
     # 30, 31, 30, 30, 28 m/s at 1 Hz: one reversal in three pairs, hard braking in one of four.
     speed = np.array([[[30.0, 31.0, 30.0, 30.0, 28.0]]])
     gap = np.array([[[9.0, 31.0, 15.0, 15.0, 56.0]]])
-    driven = Driven(np.zeros(1, int), gap, speed, speed[:, 0], np.array([[4.0, 2.0, 1.0, 0.0]]))
+    driven = Driven(np.zeros(1, int), gap, speed, speed, np.array([[4.0, 2.0, 1.0, 0.0]]))
     assert conduct(driven) == {
+        "seconds": 4.0,
         "acceleration_std_mps2": pytest.approx(np.std([1, -1, 0, -2])),
         "strong_acceleration": 0.25,
         "reversals_per_minute": pytest.approx(20.0),

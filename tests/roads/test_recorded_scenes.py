@@ -14,13 +14,15 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import made_traffic
 from charms_bench.errors import InputError, MapError
 from charms_bench.maps.commonroad_scene import read_scene
+from charms_bench.people.in_scenes import AsRecorded, drive_in_scene
 from charms_bench.plugins.registry import make_agent
-from charms_bench.plugins.traffic import Traffic
+from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.roads.engine import RoadEngine
+from charms_bench.roads.goal_states import goal_states, is_in_area
 from charms_bench.roads.recorded_scenes import facts_of
 from charms_bench.roads.settings import on_road
 from charms_bench.world.named_road import NamedRoad
-from charms_bench.world.scene import SceneSettings
+from charms_bench.world.scene import Floats, SceneSettings
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 LANELET = (
@@ -190,10 +192,104 @@ def test_an_agent_drives_from_the_start_of_a_planning_problem_to_its_goal(simula
     assert 48 <= state.x[0, 0] <= 48 + 0.2 * 15
 
 
+WHOLE_GOAL = PROBLEM.replace(
+    "</time></goalState>",
+    "</time><orientation><intervalStart>-0.2</intervalStart><intervalEnd>0.1</intervalEnd>"
+    "</orientation><velocity><intervalStart>5</intervalStart><intervalEnd>12</intervalEnd>"
+    "</velocity></goalState>",
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "is_met"),
+    [
+        ({}, True),
+        ({"x": 47.9}, False),  # the area is 4 m long and 3 m wide, around (50, 2)
+        ({"x": 51.9, "y": 3.4}, True),
+        ({"y": 3.6}, False),
+        ({"time": 1.9}, False),  # frames 20 to 40, at 10 Hz
+        ({"time": 2.0}, True),
+        ({"time": 4.0}, True),
+        ({"time": 4.1}, False),
+        ({"speed": 12.1}, False),
+        ({"speed": 4.9}, False),
+        ({"heading": 0.15}, True),  # -0.15 rad in the file, where y points to the left of x
+        ({"heading": -0.15}, False),
+        ({"heading": 0.15 - 2 * np.pi}, True),
+    ],
+)
+def test_a_goal_is_met_in_its_area_at_its_time_with_its_speed_and_its_orientation(
+    whole_goal: Simulation, change: dict[str, float], is_met: bool
+) -> None:
+    episodes = whole_goal.engine.episodes
+    values = {"x": 50.0, "y": 2.0, "time": 3.0, "speed": 10.0, "heading": 0.0} | change
+    episodes.scenes.time[0] = values.pop("time")
+    for name, value in values.items():
+        episodes.scenes.vehicles[name][0, 0] = value
+    lanes = np.zeros(1, dtype=np.int64)
+    assert episodes.task.has_reached_goal(episodes.scenes, lanes).tolist() == [is_met]
+
+
+@pytest.fixture(scope="module")
+def whole_goal(tmp_path_factory: pytest.TempPathFactory) -> Simulation:
+    path = tmp_path_factory.mktemp("scene") / "scene.xml"
+    path.write_text(scenario(LEADER, FOLLOWER, WHOLE_GOAL))
+    return simulation_of(path, "planning_problem", "idm_mobil", "recorded", 30, 1)
+
+
+@pytest.mark.parametrize(
+    ("shape", "inside", "outside"),
+    [
+        # Turned by 30 degrees, a corner is at (50 + 2 cos 30 - sin 30, 2 - 2 sin 30 - cos 30),
+        # which is (51.23, 0.13).
+        (
+            GOAL.format(50)
+            .replace("<width>3", "<width>2")
+            .replace("<orientation>0", f"<orientation>{np.pi / 6}"),
+            (51.2, 0.2),
+            (51.5, 0.1),
+        ),
+        (
+            "<circle><radius>5</radius><center><x>50</x><y>-2</y></center></circle>",
+            (52.9, 5.9),
+            (53.1, 6.1),
+        ),
+        ('<lanelet ref="2"/>', (299.0, 3.9), (150.0, -0.1)),
+    ],
+)
+def test_areas_are_rectangles_circles_and_lanelets(
+    tmp_path: Path, shape: str, inside: tuple[float, float], outside: tuple[float, float]
+) -> None:
+    path = tmp_path / "scene.xml"
+    turned = "<orientation><exact>0</exact></orientation>"
+    text = PROBLEM.replace(GOAL.format(50), shape).replace("</goalState>", turned + "</goalState>")
+    path.write_text(scenario(LEADER, text))
+    scene = read_scene(path, (0.0, 0.0))
+    assert scene is not None
+    goals = goal_states(scene.problems)
+    assert [is_in_area(goals, 0, *each) for each in (inside, outside)] == [True, False]
+
+
 def test_nobody_deviates_from_a_recording_that_does_not_exist(simulated: Make) -> None:
     text = scenario(LEADER, FOLLOWER, PROBLEM)
     with pytest.raises(InputError, match="vehicle of a planning problem is not recorded"):
         simulated(text, "planning_problem", "idm_mobil", "recorded_until_deviation")
+
+
+def test_a_recorded_ego_is_described_once_per_second_until_its_scene_ends(simulated: Make) -> None:
+    simulation = simulated(scenario(LEADER, FOLLOWER), "recorded")
+    agents = {"recorded": AsRecorded()}
+    found = drive_in_scene(simulation.settings, "recorded", OneAgent("recorded"), agents, 1)
+    assert found.shape == (2, 1, 5, 6)  # two egos for 4 s
+    x, y, stands, speed, gap, ahead = np.moveaxis(found[:, 0], -1, 0)
+    second = np.arange(5)
+    assert sorted(x[:, 0].tolist()) == [40, 60]
+    assert (x - x[:, :1]).tolist() == pytest.approx(np.stack([10.0 * second] * 2))
+    assert (y == -2).all()
+    assert (np.stack([stands, speed, ahead]) == 10).all()
+    gaps = gap[np.argsort(x[:, 0])]
+    assert gaps[0].tolist() == pytest.approx([16.0] * 5)  # 20 m less a length of 4 m
+    assert np.isinf(gaps[1]).all()
 
 
 def test_an_environment_drives_in_a_recorded_scene(tmp_path: Path) -> None:
@@ -262,30 +358,72 @@ def recorded_files() -> list[Path]:
     return sorted(path for folder in folders for path in folder.glob("*.xml"))
 
 
-@pytest.mark.skipif(not recorded_files(), reason="needs ../shared/data, recorded scenes")
+on_all_scenes = pytest.mark.parametrize("path", recorded_files(), ids=lambda path: str(path.stem))
+needs_scenes = pytest.mark.skipif(not recorded_files(), reason="needs ../shared/data, scenes")
+
+
+def from_recorded(simulation: Simulation) -> Floats | None:
+    """How far vehicles (N,) are from their recorded places, m; None between two frames.
+
+    It is not a number for those that are not there or not recorded now.
+    """
+    moments, tracks = simulation.engine.moments, simulation.engine.moments.tracks
+    frame = moments.frame[0] + simulation.frames[0] / 2
+    if frame % 1:
+        return None
+    track, state = moments.vehicles[0], simulation.engine.state
+    known = (tracks.first[track] <= frame) & (frame <= tracks.last[track]) & (track >= 0)
+    found = np.full(track.size, np.nan)
+    rows = (tracks.row + int(frame) - tracks.first)[track[known]]
+    x, y = state.x[0, known] - tracks.x[rows], state.y[0, known] - tracks.y[rows]
+    found[known] = np.where(state.present[0, known], np.hypot(x, y), np.nan)
+    return found
+
+
+@needs_scenes
 @pytest.mark.slow
-@pytest.mark.parametrize("path", recorded_files(), ids=lambda path: str(path.stem))
+@on_all_scenes
 def test_recorded_scenes_are_replayed_on_their_own_lanes(path: Path) -> None:
     facts = facts_of(path)
     assert facts is not None
     assert facts["in_lane"] >= 0.93
     hz = round(2 * facts["rate_hz"])
     simulation = simulation_of(path, "recorded", "recorded", "recorded", hz, 1)
-    moments, tracks = simulation.engine.moments, simulation.engine.moments.tracks
     compared = 0
     while simulation.scene.active.any():
         for _ in range(simulation.settings.steps_per_decision):
             simulation.advance()
-            frame = moments.frame[0] + simulation.frames[0] / 2
-            if frame % 1:
+            apart = from_recorded(simulation)
+            if apart is None:
                 continue
-            track = moments.vehicles[0]
-            there = (tracks.first[track] <= frame) & (frame <= tracks.last[track]) & (track >= 0)
-            row = tracks.row[track] + int(frame) - tracks.first[track]
-            state = simulation.engine.state
-            assert state.present[0].tolist() == there.tolist()
-            assert np.abs(state.x[0] - tracks.x[row])[there].max() <= 1e-9
-            assert np.abs(state.y[0] - tracks.y[row])[there].max() <= 1e-9
+            there = simulation.engine.state.present[0]
+            assert np.isfinite(apart).tolist() == there.tolist()
+            assert apart[there].max() <= 1e-9
             compared += int(there.sum())
         simulation.finish_step()
     assert compared
+
+
+@needs_scenes
+@pytest.mark.slow
+@on_all_scenes
+def test_an_agent_drives_in_each_scene_in_three_modes_of_reaction(path: Path) -> None:
+    facts = facts_of(path)
+    assert facts is not None
+    hz = round(2 * facts["rate_hz"])
+    for traffic in ("recorded", "recorded_until_deviation", "idm_mobil"):
+        simulation = simulation_of(path, "recorded", "idm_mobil", traffic, hz, 1)
+        drivers, apart = set(simulation.drivers[0, 1:].tolist()), from_recorded(simulation)
+        assert apart is not None
+        assert np.nanmax(apart) == 0.0
+        while simulation.scene.active.any():
+            before = drivers
+            simulation.step()
+            state, apart = simulation.engine.state, from_recorded(simulation)
+            drivers = set(simulation.drivers[0, 1:][state.present[0, 1:]].tolist())
+            assert np.isfinite([state.x, state.y, state.speed]).all()
+            if apart is not None and before | drivers == {"recorded"}:
+                assert np.nanmax(apart[1:], initial=0.0) <= 1e-9
+        assert ENDINGS[simulation.ending[0]] in ("time", "goal", "rear_end", "side")
+        expected = {"recorded": {"recorded"}, "idm_mobil": {"idm_mobil"}}.get(traffic)
+        assert expected is None or drivers <= expected

@@ -2,11 +2,15 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from charms_bench.api import open_run
 from charms_bench.api.evaluation import run as run_file
 from charms_bench.errors import SuiteError
+from charms_bench.maps.joining import joined
+from charms_bench.maps.reading import read_road
+from charms_bench.maps.road_map import RoadMap
 from charms_bench.runs.suite import load_suite
 
 PLACES = Path(__file__).parents[2] / "suites" / "places"
@@ -40,7 +44,28 @@ def test_a_run_on_a_file_has_tables_and_can_be_audited_and_replayed(
     assert [row["road"] for row in rows] == ["mine"] * 4
     assert all(0.0 <= row["goal_reached"] <= 1.0 for row in rows)
     assert found.audit(shards=1, workers=1).verdict == "pass"
-    assert found.replay(0, ego="idm_mobil", traffic="environment")
+    replay = found.replay(0, ego="idm_mobil", traffic="environment")
+    replay.write_commonroad(tmp_path / "episode.xml")
+    assert_same_lanes(joined(read_road(PLACES / "motorway.json")), tmp_path / "episode.xml")
+
+
+def assert_same_lanes(road: RoadMap, scenario: Path) -> None:
+    """Asserts that a scenario has the ends, speed limits and successors of lanes."""
+    written = {lane.id: lane for lane in read_road(scenario).lanes}
+    found = [*written.values()]
+    names = {}
+    for lane in road.lanes:
+        ends = [
+            np.hypot(*(each.points[[0, -1], :2] - lane.points[[0, -1], :2]).T) for each in found
+        ]
+        near = int(np.argmin([each.max() for each in ends]))
+        assert ends[near].max() < 0.01, lane.id
+        names[lane.id] = found[near].id
+    assert sorted(names.values()) == sorted(written)
+    for lane in road.lanes:
+        other = written[names[lane.id]]
+        assert other.speed_limit == pytest.approx(lane.speed_limit)
+        assert {*other.successors} == {names[each] for each in lane.successors}
 
 
 def test_a_changed_file_is_another_suite(suite: Path) -> None:

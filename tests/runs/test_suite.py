@@ -172,18 +172,18 @@ def test_a_vehicle_types_parameter_that_no_driver_has_is_named_with_its_line(
         load_suite(path)
 
 
-def skip_without_recordings(path: Path) -> None:
-    """Skips a suite whose recordings are not here; they are not part of the project."""
-    for folder in re.findall(r"recording: {folder: ([^,}]*)", path.read_text()):
-        if not (path.parent / folder).is_dir():
-            pytest.skip(f"no recordings in {path.parent / folder}")
+def skip_without_data(path: Path) -> None:
+    """Skips a suite whose recordings or maps are not here; they are not part of the project."""
+    for name in re.findall(r"{(?:folder|file): (\.\./[^,}]*)", path.read_text()):
+        if not (path.parent / name).exists():
+            pytest.skip(f"no data in {path.parent / name}")
 
 
 @pytest.mark.parametrize("path", sorted(Path("suites").glob("*.yaml")), ids=lambda path: path.stem)
 def test_the_suites_of_the_project_are_valid(path: Path) -> None:
     if "pipeline:" in path.read_text():
         pytest.skip("a training; its pipeline validates it")
-    skip_without_recordings(path)
+    skip_without_data(path)
     assert load_suite(path).suite == path.stem
 
 
@@ -193,7 +193,7 @@ def test_no_suite_that_reports_uses_episodes_on_which_networks_were_trained_or_c
 ) -> None:
     if "pipeline:" in path.read_text():
         pytest.skip("a training; its seeds begin at 2^40")
-    skip_without_recordings(path)
+    skip_without_data(path)
     suite = load_suite(path)
     if path.name == "pch.yaml":  # by which tau and beta are chosen
         assert suite.seed >= VALIDATION_SEEDS
