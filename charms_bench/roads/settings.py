@@ -130,6 +130,11 @@ def layout_on(settings: SceneSettings) -> tuple[Layout, tuple[str, str] | None]:
     return found.layout, found.home
 
 
+def egos_on(settings: SceneSettings) -> int:
+    """The number of vehicles in a scene that the agent of the ego drives."""
+    return 1 if settings.network is None else _road(settings.network).egos
+
+
 def room_on(settings: SceneSettings) -> int:
     """How many vehicles there is room for beside those of the road itself."""
     assert settings.network is not None
