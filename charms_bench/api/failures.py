@@ -42,7 +42,7 @@ def search(
         traffic: Label of the scenario, or of the traffic model on the road; needed if the suite
             has several.
         output: The folder; by default `runs/NAME-search`, followed by the `agent`.
-        road: Label of the road; needed if several have `parameters`.
+        road: Label of the road; needed if several have `parameters`, or a scenario is on several.
         agent: Installed agent or path of a network that drives the ego, instead of `ego`.
         failures: Number of failures after which the search ends.
         budget: Number of simulated episodes after which the search ends.
@@ -64,7 +64,7 @@ def search(
     where, entry = surroundings_of(document.path, loaded, road, traffic)
     index = loaded.traffics.index(entry)
     references = [each for each in loaded.egos if each.title in loaded.preventable_by]
-    scene = loaded.scene.of_scenario(entry.traffic.scenario)
+    scene = loaded.scene if where else loaded.scene.of_scenario(entry.traffic.scenario)
     cell = Cell(ego=ego_of(document.path, loaded, ego), road=where, traffic=entry, scene=scene)
     seeds = loaded.seed + np.arange(loaded.episodes)
     made = Search(cell, references, loaded.folder, folder, seeds)

@@ -250,6 +250,8 @@ class Run:
             judged = verdicts(self.suite, [cell for cell in self.cells if cell.agent in egos])
             found = [
                 replace(each, preventable=judged.get((*each.labels, each.episode)))
+                if each.ego_index is None  # of several egos, an episode has several collisions
+                else each
                 for each in found
             ]
         return Lines(found)
@@ -260,18 +262,25 @@ class Run:
         ego: str | None = None,
         traffic: str | None = None,
         road: str | None = None,
+        ego_index: int = 0,
     ) -> "ShownReplay":
-        """Simulates the episode with this seed again, with the states of all vehicles."""
+        """Simulates the episode with this seed again, with the states of all vehicles.
+
+        `ego_index` is the number of one of several egos.
+        """
         from charms_bench.api.shown import ShownReplay
         from charms_bench.episodes.replay import replay
 
-        return ShownReplay.of(replay(self._cell(ego, traffic, road), [episode])[0])
+        return ShownReplay.of(replay(self._cell(ego, traffic, road, ego_index), [episode])[0])
 
-    def _cell(self, ego: str | None, traffic: str | None, road: str | None) -> "RecordedCell":
+    def _cell(
+        self, ego: str | None, traffic: str | None, road: str | None, ego_index: int = 0
+    ) -> "RecordedCell":
         """The only cell with these labels, ready to be simulated."""
         from charms_bench.episodes.recorded_cell import find_cell
 
-        cell = find_cell(self._finished, self._suite_folder, ego, traffic, road)
+        finished, folder = self._finished, self._suite_folder
+        cell = find_cell(finished, folder, ego, traffic, road, ego_index=ego_index)
         warm_up()
         return cell
 

@@ -128,6 +128,8 @@ def edge_cases(
         say(f"No {kind} in {run}.")
         return
     forms = {"ego": "", **({"road": ""} if opened.suite.roads else {}), "traffic": ""}
+    if any(case["ego_index"] is not None for case in found):
+        forms["ego_index"] = ".0f"
     forms |= {"episode": ".0f", "criticality": ".2f", "what happened": ""}
     if opened.suite.preventable_by:
         forms["preventable"] = ""
@@ -171,6 +173,7 @@ def replay(
     ego: EgoLabel = None,
     road: RoadLabel = None,
     traffic: TrafficLabel = None,
+    ego_index: int = typer.Option(0, min=0, help="Which of several egos, as in `edge-cases`."),
     output: Path | None = typer.Option(
         None,
         metavar="OUT.gif",
@@ -194,9 +197,10 @@ def replay(
         check_commonroad(commonroad)
         commonroad = absolute(commonroad)
     opened = charms_bench.open_run(run, suite_folder)
-    replayed = opened.replay(episode, ego, traffic, road)
+    replayed = opened.replay(episode, ego, traffic, road, ego_index)
     cell = replayed.cell
-    name = f"{name_of(opened.suite, replayed.cell)}-{episode}.gif"
+    which = "" if replayed.ego_index is None else f"-ego-{replayed.ego_index}"
+    name = f"{name_of(opened.suite, replayed.cell)}-{episode}{which}.gif"
     animation = output or opened.path / "replays" / name
     # Beside a file of the user's choice, this name is no other file's.
     trajectories = animation.with_suffix(".trajectories.parquet" if output else ".parquet")
@@ -213,10 +217,11 @@ def replay(
     if as_json:
         facts: dict[str, Any] = {"ego": cell.ego.title}
         facts |= {"road": cell.road.title if cell.road else None}
-        facts |= {"traffic": cell.traffic.title, "episode": episode, "ending": replayed.ending}
+        facts |= {"traffic": cell.traffic.title, "ego_index": replayed.ego_index}
+        facts |= {"episode": episode, "ending": replayed.ending}
         facts |= {"duration_s": float(replayed.t_s[-1]), "what": what}
         end_with_json({**facts, **files})
-    say(f"{cell.title}, episode {episode}: {what}")
+    say(f"{replayed.title}, episode {episode}: {what}")
     titles = {"animation": "Animation", "trajectories": "Trajectories", "commonroad": "CommonRoad"}
     for kind, file in files.items():
         say(f"{titles[kind]}: {shown(Path(file))}")

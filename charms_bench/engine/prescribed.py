@@ -15,14 +15,16 @@ from charms_bench.engine.running import RunningEpisodes
 from charms_bench.engine.source import Source
 from charms_bench.engine.stepping import Put
 from charms_bench.foundation import maths
-from charms_bench.foundation.compiled import clip, compiled
+from charms_bench.foundation.compiled import clip, compiled, inlined
 from charms_bench.foundation.generator import seeded
 from charms_bench.world.bicycle import steering_of
-from charms_bench.world.placement import Placement, place
+from charms_bench.world.placement import Placement, Placing, place
 from charms_bench.world.road import position
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings
 
+_ROUNDING = 1e-9
+"""s; sums of intervals differ from their product in the last bits."""
 TEMPERAMENT = 0.5
 """Of every vehicle of a scenario: nothing of a concrete scenario is left to chance."""
 
@@ -30,10 +32,13 @@ TEMPERAMENT = 0.5
 class Script:
     """The concrete scenarios of B scenes."""
 
+    kind = Placing
+    """What places the vehicles."""
+
     def __init__(self, scenario: Scenario, settings: SceneSettings, scenes: int) -> None:
         self._scenario, self._settings = scenario, settings
         first = np.zeros(scenes, dtype=np.int64)
-        self._placement = place(scenario, settings, first)
+        self._placement = place(scenario, settings, first, self.kind)
 
     def place(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> None:
         """Places the vehicles of the scenes `rows` (R,) at the points with these numbers."""
@@ -52,7 +57,7 @@ class Script:
 
     def choose(self, rows: Ints, numbers: NDArray[Any]) -> Placement:
         """Prescribes the motion of points with these numbers in the scenes `rows` (R,)."""
-        found = place(self._scenario, self._settings, numbers)
+        found = place(self._scenario, self._settings, numbers, self.kind)
         for whole, part in zip(self._placement, found, strict=True):
             whole[rows] = part
         return found
@@ -107,20 +112,33 @@ def _prescribe(scene: Scene, rows: Ints, is_prescribed: Bools, placed: Placement
                 continue
             time = scene.timer_s[b, i]
             speed, heading = scene.speed[b, i], scene.heading[b, i]
-            acceleration = 0.0
+            acceleration = acceleration_at(placed, b, i, time, speed, c.dt)
             _, y = position(scene.road, placed.lane[b, i], scene.x[b, i], 0.0)
-            for k in range(placed.brakes_at.shape[2]):
-                # Sums of intervals differ from their product in the last bits.
-                if placed.brakes_at[b, i, k] <= time + 1e-9:
-                    wanted, left = placed.acceleration[b, i, k], placed.until[b, i, k] - speed
-                    low, high = min(0.0, left / c.dt), max(0.0, left / c.dt)
-                    acceleration = clip(wanted, low, high)
-                if placed.moves_at[b, i, k] <= time + 1e-9:
-                    passed = (time + c.dt - placed.moves_at[b, i, k]) / placed.duration[b, i, k]
-                    y += placed.moves_by[b, i, k] * clip(passed, 0.0, 1.0)
+            for k in range(placed.moves_at.shape[2]):
+                if placed.moves_at[b, i, k] <= time + _ROUNDING:
+                    y += placed.moves_by[b, i, k] * passed(placed, b, i, k, time + c.dt)
                     scene.target_lane[b, i] = placed.moves_to[b, i, k]
             scene.acceleration[b, i] = acceleration
             scene.steering[b, i] = steering_to(y - scene.y[b, i], speed * c.dt, heading)
+
+
+@compiled
+def acceleration_at(
+    placed: Placement, b: int, i: int, time: float, speed: float, dt: float
+) -> float:
+    """The acceleration that is prescribed for a vehicle from a time on, for a step."""
+    acceleration = 0.0
+    for k in range(placed.brakes_at.shape[2]):
+        if placed.brakes_at[b, i, k] <= time + _ROUNDING:
+            wanted, left = placed.acceleration[b, i, k], placed.until[b, i, k] - speed
+            acceleration = clip(wanted, min(0.0, left / dt), max(0.0, left / dt))
+    return acceleration
+
+
+@inlined
+def passed(placed: Placement, b: int, i: int, k: int, time: float) -> float:
+    """The part of a movement to another lane that is over at a time, 0 to 1."""
+    return clip((time - placed.moves_at[b, i, k]) / placed.duration[b, i, k], 0.0, 1.0)
 
 
 @compiled

@@ -16,7 +16,7 @@ def sources_of(episodes: RunningEpisodes) -> tuple[Source, ...]:
         DataError: Recordings cannot be used.
     """
     settings = episodes.settings
-    if settings.scenario is not None:
+    if settings.scenario is not None and settings.network is None:
         return (Placed(episodes),)
     if settings.recording is not None:
         return (Recorded(episodes),)

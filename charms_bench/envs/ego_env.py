@@ -145,26 +145,23 @@ def surroundings(
         instead += f"traffic={traffic.get('drivers', ENVIRONMENT)!r}"
         raise InputError(f"{environment}: traffic: a road is no traffic model; give {instead}")
     try:
-        settings = scene_of(plain)
+        settings, scenario = scene_of(plain), None
         if isinstance(traffic, Mapping) and {*traffic} & {*TrafficSpec.model_fields}:
             spec = TrafficSpec.model_validate(traffic)
-            settings, traffic = settings.of_scenario(spec.scenario), spec.make()
+            scenario, traffic = spec.scenario, spec.make()
         if road is not None:
             from charms_bench.roads.settings import (  # slow to import
                 on_road,
                 refuse_of_straight_roads,
             )
 
-            if settings.scenario is not None:
-                raise InputError(
-                    f"{environment}: traffic: a scenario places vehicles on the straight road; "
-                    "remove the road"
-                )
             named = NamedRoad.model_validate({"name": road} if isinstance(road, str) else road)
             refuse_of_straight_roads(named, plain)
-            settings = on_road(settings, named)
+            settings = on_road(settings, named, scenario=scenario)
         elif traffic == ENVIRONMENT:
             raise InputError(f"{environment}: traffic: '{ENVIRONMENT}' needs scene={{'road': ...}}")
+        else:
+            settings = settings.of_scenario(scenario)
     except ValidationError as error:
         raise InputError(f"{environment}: {problem_in(error)}") from error
     return settings, *made_traffic(traffic)

@@ -49,7 +49,7 @@ def moment_of(replay: Replay, view: EgoView, frame: int) -> Moment:
     """Returns one simulation step of a replay; step 0 is the start of the episode."""
     return Moment(
         settings=replay.settings,
-        title=replay.cell.title,
+        title=replay.title,
         episode=replay.episode,
         t_s=replay.t_s[frame],
         ego=replay.ego,

@@ -10,6 +10,7 @@ from charms_bench.episodes.criticality import IS_OF_KIND, Kind, criticality
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, replay
 from charms_bench.episodes.what_happened import what_happened
+from charms_bench.recording.columns import of_ego
 from charms_bench.runs.cells import title_of
 
 AT_ONCE = 20
@@ -43,9 +44,12 @@ class EdgeCase:
     `yes`, `no` or `only by NAME`; None without reference drivers, and if there is none."""
     road: str | None = None
     """Title of the road; None for the straight road of the scene."""
+    ego_index: int | None = None
+    """Which of several egos; None if there is one."""
 
     def __repr__(self) -> str:
-        where = f"{self.ego} in {title_of(self.labels[1:])}, episode {self.episode}"
+        which = "" if self.ego_index is None else f" ego {self.ego_index},"
+        where = f"{self.ego} in {title_of(self.labels[1:])},{which} episode {self.episode}"
         return f"<EdgeCase {self.rank}: {where}, criticality {self.criticality:z.2f}: {self.what}>"
 
     @property
@@ -76,6 +80,7 @@ def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> li
             replayed.cell.traffic.title,
             what=what_happened(replayed, kind),
             road=replayed.cell.road.title if replayed.cell.road else None,
+            ego_index=replayed.ego_index,
             **row,
         )
         for rank, (row, replayed) in enumerate(_replays(cells, measured.head(top)), start=1)
@@ -85,15 +90,16 @@ def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> li
 def ranked(cells: Sequence[RecordedCell]) -> pl.DataFrame:
     """Returns the rows of `criticality` of all episodes of a run's cells, most critical first.
 
-    `gaps_lost` is that of the ego's driver row, and `cell` the index of the episode's cell.
+    `gaps_lost` is that of the ego's driver row, and `cell` the place of the episode's cell among
+    the cells.
     """
-    frames = [
-        criticality(episodes, steps, each.run.suite.scene)
-        .join(drivers.filter("is_ego").select("episode", "gaps_lost"), on="episode")
-        .with_columns(cell=pl.lit(each.index))
-        for each in cells
-        for (episodes, steps), (drivers,) in zip(each.rows.parts, each.rows.drivers, strict=True)
-    ]
+    frames = []
+    for place, each in enumerate(cells):
+        for rows, (drivers,) in zip(each.rows.parts, each.rows.drivers, strict=True):
+            episodes, steps, lost = (of_ego(part, each.ego_index) for part in (*rows, drivers))
+            lost = lost.filter("is_ego").select("episode", "gaps_lost")
+            measured = criticality(episodes, steps, each.run.suite.scene).join(lost, on="episode")
+            frames.append(measured.with_columns(cell=pl.lit(place)))
     order = ["criticality", "cell", "episode"]
     return pl.concat(frames).sort(order, descending=[True, False, False])
 
@@ -104,9 +110,9 @@ def _replays(
     """Yields each row with its replay, in order; simulates only as many as are consumed."""
     for part in measured.iter_slices(AT_ONCE):
         replays = {
-            (each.index, replayed.episode): replayed
-            for each in cells
-            if (mine := part.filter(cell=each.index)["episode"].to_list())
+            (place, replayed.episode): replayed
+            for place, each in enumerate(cells)
+            if (mine := part.filter(cell=place)["episode"].to_list())
             for replayed in replay(each, mine)
         }
         for row in part.iter_rows(named=True):

@@ -24,14 +24,14 @@ def write_found(search: Search, document: Document, suite: Suite, path: Path) ->
     cell, found = search.cell, _roads(search, document, suite)
     if traffics := document.data.get("traffic_models"):
         entry = deepcopy(traffics[suite.traffics.index(cell.traffic)])
-        if cell.road is None:
+        if not search.varies_road:
             entry["traffic"]["scenario"]["points"] = search.failures
         found["traffic_models"] = [entry]
     egos = [search.cell.ego, *search.references]
     written: dict[str, Any] = {
         "suite": path.stem,
         "title": f"Failures of {search.cell.title}",
-        "episodes": len(search.failures) if cell.road is None else suite.episodes,
+        "episodes": suite.episodes if search.varies_road else len(search.failures),
         "scene": document.data.get("scene", {}),
         "egos": [
             {
@@ -53,13 +53,15 @@ def write_found(search: Search, document: Document, suite: Suite, path: Path) ->
 
 
 def _roads(search: Search, document: Document, suite: Suite) -> dict[str, Any]:
-    """The road with each failure in its configuration, and the seeds; empty for a scenario."""
+    """The road with each failure in its configuration, and the seeds; a scenario's road itself."""
     road = search.cell.road
     if road is None:
         return {}
     entry = deepcopy(document.data["roads"][suite.roads.index(road)])
     if road.file is not None:
         entry["file"] = os.path.relpath(road.file, search.path)
+    if not search.varies_road:
+        return {"roads": [entry]}
     return {
         "seed": suite.seed,
         "roads": [
@@ -79,9 +81,9 @@ def found_in(folder: Path) -> tuple[Mapping[str, float], ...]:
     if not path.exists():
         return ()
     suite = load_suite(path)
-    if suite.roads:
+    scenarios = [entry.traffic.scenario for entry in suite.traffics]
+    if not any(scenarios):
         return tuple({name: _value(each, name) for name in each.parameters} for each in suite.roads)
-    scenarios = (entry.traffic.scenario for entry in suite.traffics)
     points: Any = next((each.points for each in scenarios if each is not None), ())
     return tuple(points)
 

@@ -1,7 +1,7 @@
 """One ego in one traffic of a finished run: simulated again, and compared with the run's rows."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError, RunFolderError, suggestion
+from charms_bench.foundation.words import counted
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.plugins.traffic import Traffic
+from charms_bench.recording.columns import of_ego
 from charms_bench.runs.audit_software import names_installed_code
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import EPISODES_AND_STEPS, FinishedRun, read_rows
@@ -21,6 +23,11 @@ from charms_bench.runs.shard import engine_on, identify_agents
 from charms_bench.runs.suite import Cell
 from charms_bench.world.actions import DEFAULT_ACTIONS, meta_actions_of
 from charms_bench.world.scene import SceneSettings
+
+
+def title_with(cell: Cell, ego_index: int | None) -> str:
+    """The name of a cell, with the number of one of several egos."""
+    return cell.title if ego_index is None else f"{cell.title}, ego {ego_index}"
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,8 @@ class RecordedCell:
     """Its place among the cells of the suite."""
     folder: Path
     """Where relative paths of networks in the suite start."""
+    ego_index: int = 0
+    """Which of several egos; see `recording.columns.EGO_INDEX`."""
 
     @property
     def cell(self) -> Cell:
@@ -42,6 +51,18 @@ class RecordedCell:
     def rows(self) -> CellRows:
         """What was recorded."""
         return self.run.cell(self.index)
+
+    @property
+    def egos(self) -> int:
+        """The number of egos that drive in its episodes."""
+        from charms_bench.roads.settings import egos_on  # slow to import
+
+        return 1 if self.cell.road is None else egos_on(self.cell.scene)
+
+    @property
+    def title(self) -> str:
+        """Its name in messages, with the number of the ego if there are several."""
+        return title_with(self.cell, self.ego_index if self.egos > 1 else None)
 
     @property
     def drivers(self) -> tuple[AgentSpec, ...]:
@@ -73,8 +94,13 @@ class RecordedCell:
                 its agent's meta-actions, or if it has none, highway-env's.
 
         Raises:
-            InputError: A guest cannot drive on the road of the cell.
+            InputError: A guest cannot drive on the road of the cell, or instead of one of its egos.
         """
+        if (guests or is_ego_outside) and self.egos > 1:
+            raise InputError(
+                f"{self.cell.title}: several egos drive in its episodes; expected a road with one "
+                "ego where another agent takes over"
+            )
         cell, networks, traffic = self.cell, self.networks, self.cell.traffic.traffic.make()
         agents = {driver.key: driver.make(networks) for driver in self.drivers}
         if guests or is_ego_outside:
@@ -94,10 +120,7 @@ class RecordedCell:
             engine_on(settings or cell.scene),
             actions=actions,
         )
-        if simulation.engine.egos > 1:
-            raise InputError(
-                f"{cell.title}: several egos drive in its episodes; expected a road with one ego"
-            )
+        simulation.engine.ego_index = self.ego_index
         return simulation
 
     def steps(self, episodes: Sequence[int]) -> pl.DataFrame:
@@ -111,7 +134,7 @@ class RecordedCell:
                 )
         shards = [run.shards[k] for k, seeds in self._seeds.items() if {*seeds} & {*episodes}]
         _, steps = read_rows(run.folder, EPISODES_AND_STEPS, shards)
-        return steps.filter(pl.col("episode").is_in(list(episodes)))
+        return of_ego(steps, self.ego_index).filter(pl.col("episode").is_in(list(episodes)))
 
     def shard_of(self, episode: int) -> range:
         """The seeds of the episodes that the run simulated together with this one."""
@@ -189,8 +212,12 @@ def find_cells(
     ego: str | None = None,
     traffic: str | None = None,
     road: str | None = None,
+    ego_index: int | None = None,
 ) -> list[RecordedCell]:
-    """Returns the cells whose ego, traffic and road have these titles; None is any."""
+    """Returns the cells whose ego, traffic and road have these titles; None is any.
+
+    A cell with several egos is listed for each of them, or for one.
+    """
     suite = run.suite
     asked = (("ego", ego, suite.egos), ("traffic", traffic, suite.traffics))
     for what, title, entries in (*asked, ("road", road, suite.roads)):
@@ -200,13 +227,16 @@ def find_cells(
         if title is not None and title not in titles:
             known = suggestion(title, titles)
             raise RunFolderError(f"{run.folder.path}: no {what} called '{title}'. {known}")
-    return [
-        RecordedCell(run, index, folder)
+    found = [
+        RecordedCell(run, index, folder, ego_index or 0)
         for index, cell in enumerate(run.suite.cells)
         if ego in (None, cell.ego.title)
         and traffic in (None, cell.traffic.title)
         and (road is None or (cell.road is not None and cell.road.title == road))
     ]
+    if ego_index is not None:
+        return found
+    return [replace(each, ego_index=k) for each in found for k in range(each.egos)]
 
 
 def find_cell(
@@ -216,9 +246,10 @@ def find_cell(
     traffic: str | None,
     road: str | None = None,
     how: str = "",
+    ego_index: int = 0,
 ) -> RecordedCell:
     """Returns the only one of `find_cells`, or raises an `InputError` that says `how` to choose."""
-    cells = find_cells(run, folder, ego, traffic, road)
+    cells = find_cells(run, folder, ego, traffic, road, ego_index)
     how = how or ("--ego, --road and --traffic" if run.suite.roads else "--ego and --traffic")
     if len(cells) > 1:
         titles = "; ".join(each.cell.title for each in cells)
@@ -226,5 +257,10 @@ def find_cell(
         raise InputError(
             f"{run.folder.path}: {len(cells)} cells have the episodes {first} to {last}; choose "
             f"one with {how}. Cells: {titles}"
+        )
+    if not 0 <= ego_index < (count := cells[0].egos):
+        raise InputError(
+            f"{run.folder.path}: {cells[0].cell.title} has {counted(count, 'ego')}; expected an "
+            f"ego index from 0 to {count - 1}, found {ego_index}"
         )
     return cells[0]

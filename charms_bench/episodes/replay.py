@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.engine.simulation import Simulation
-from charms_bench.episodes.recorded_cell import RecordedCell
+from charms_bench.episodes.recorded_cell import RecordedCell, title_with
 from charms_bench.errors import InputError
 from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import make_agent
@@ -75,8 +75,17 @@ class Replay(Motion):
     """Where the vehicles are on one of highway-env's roads. The other arrays show that road
     straightened along the ego's way; a vehicle is present while it is beside it."""
 
+    ego_index: int | None = None
+    """Which of several egos, as in the rows of a run; None if there is one. It is vehicle 0, and
+    ego 0 is then the vehicle of this number."""
+
+    @property
+    def title(self) -> str:
+        """The name of its cell and of its ego."""
+        return title_with(self.cell, self.ego_index)
+
     def __repr__(self) -> str:
-        what = f"{self.cell.title}, {counted(self.x.shape[1], 'vehicle')}, {self.t_s[-1]:z.1f} s"
+        what = f"{self.title}, {counted(self.x.shape[1], 'vehicle')}, {self.t_s[-1]:z.1f} s"
         return f"<Replay of episode {self.episode}: {what}, ending {self.ending}>"
 
     @property
@@ -211,6 +220,7 @@ def simulate(
                 episodes=ended.filter(mine),
                 steps=steps.filter(mine),
                 plan=plans.of(place, length),
+                ego_index=cell.ego_index if cell.egos > 1 else None,
                 **arrays,
             )
         )

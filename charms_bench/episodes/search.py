@@ -6,8 +6,8 @@ larger one of its margin and the negative of the reference drivers' largest marg
 in a failure only. So the reference drivers are simulated only where the agent collides.
 
 A point at which prescribed vehicles collide with one another is no scenario: it is left out.
-On a road, a point is a configuration, in which all episodes of the suite are simulated: it is as
-good as the best of them, and a failure if one of them is.
+Where the configuration of a road is searched, all episodes of the suite are simulated at each
+point: it is as good as the best of them, and a failure if one of them is.
 
 Agents that draw their actions, the ego, other vehicles or reference drivers, draw others in each
 episode. So a failure is noted only if it is one in the episode of the suite of failures, too.
@@ -61,7 +61,7 @@ class Search:
     """The failures of an agent, and how many episodes it took to find them."""
 
     cell: Cell
-    """On a road, its scene is that of the suite, whatever the road."""
+    """On a road, its scene is that of the suite, whatever the road and the scenario."""
     references: Sequence[EgoEntry]
     """The drivers that decide which collisions are preventable; if there are none, all are."""
     folder: Path
@@ -89,11 +89,18 @@ class Search:
         )
         return f"<Search of {self.cell.title}: {found}>"
 
+    @property
+    def varies_road(self) -> bool:
+        """Whether the points are configurations of a road, and not those of a scenario."""
+        return self.cell.traffic.traffic.scenario is None
+
     def run(self, failures: int, budget: int, seed: int) -> None:
         """Searches until there are so many failures, or so many episodes have been simulated."""
         from scipy.optimize import differential_evolution
 
         dimensions = len(self._parameters)
+
+        episodes = self.seeds.size if self.varies_road else 1
 
         def is_over(*_: object) -> bool:
             return len(self.failures) >= failures or self.simulations >= budget
@@ -101,9 +108,10 @@ class Search:
         for start in count():
             if is_over():
                 break
-            first = sobol(dimensions, start * FIRST_POINTS, FIRST_POINTS, scramble=seed)
+            points = min(FIRST_POINTS, max(1, (budget - self.simulations) // episodes))
+            first = sobol(dimensions, start * FIRST_POINTS, points, scramble=seed)
             best = first[np.argsort(self.values(first))[:POPULATION]]
-            if is_over():
+            if is_over() or points < POPULATION:
                 break
             differential_evolution(
                 lambda shares: self.values(shares.T),
@@ -156,7 +164,7 @@ class Search:
         points = [
             {name: float(each[r]) for name, each in values.items()} for r in range(len(shares))
         ]
-        if self.cell.road is None:
+        if not self.varies_road:
             return points
         from charms_bench.roads.configuration import whole  # which scenarios do not need
 
@@ -164,9 +172,10 @@ class Search:
 
     def _margins_of_scenarios(self, points: list[Point]) -> Floats:
         """The ego's margins, as `_margins`; infinite where prescribed vehicles collide."""
-        if self.cell.road is not None:
+        if self.varies_road:
             return self._margins(self.cell.ego.agent, points)
-        is_pile_up = pile_ups(self._settings_of(points), np.arange(len(points)))
+        settings = self._settings_of(points)
+        is_pile_up = pile_ups(settings, np.arange(len(points)), engine_on(settings))
         found = np.full((len(points), 1), np.inf)
         asked = [points[k] for k in np.nonzero(~is_pile_up)[0]]
         if asked:
@@ -179,31 +188,33 @@ class Search:
 
     @property
     def _scenario(self) -> Scenario:
-        scenario = self.cell.scene.scenario
+        scenario = self.cell.traffic.traffic.scenario
         assert scenario is not None
         return scenario
 
     @property
     def _parameters(self) -> Mapping[str, Parameter]:
         road = self.cell.road
-        return self._scenario.parameters if road is None else road.parameters
+        return road.parameters if road and self.varies_road else self._scenario.parameters
 
     def _settings_of(self, points: Sequence[Point]) -> SceneSettings:
-        if (road := self.cell.road) is not None:
-            from charms_bench.roads.settings import on_road  # slow to import
+        scenario, road = None, self.cell.road
+        if not self.varies_road:
+            scenario = self._scenario.model_copy(update={"points": tuple(points)})
+        if road is None:
+            return self.cell.scene.of_scenario(scenario)
+        from charms_bench.roads.settings import on_road  # slow to import
 
-            (point,) = points
-            return on_road(self.cell.scene, road.at(point).road, road.duration_s)
-        scenario = self._scenario.model_copy(update={"points": tuple(points)})
-        return self.cell.scene.of_scenario(scenario)
+        road = road.at(points[0]) if scenario is None else road
+        return on_road(self.cell.scene, road.road, road.duration_s, scenario)
 
     @cached_property
     def _draws(self) -> bool:
         """Whether the ego, another vehicle of the scenario or a reference driver draws.
 
-        If so, a point has other draws as an episode of the suite of failures, but on a road.
+        If so, a point of a scenario has other draws as an episode of the suite of failures.
         """
-        if self.cell.road is not None:
+        if self.varies_road:
             return False
         traffic = self.cell.traffic.traffic.make()
         egos = [self.cell.ego.agent, *(each.agent for each in self.references)]
@@ -228,9 +239,9 @@ class Search:
     def _margins(self, agent: AgentSpec, points: list[Point], first: int = 0) -> Floats:
         """The margins [R, E] at points, those of a scenario in the episodes from `first` on."""
         cell = self.cell
-        if cell.road is not None and len(points) > 1:
+        if self.varies_road and len(points) > 1:
             return np.concatenate([self._margins(agent, [point]) for point in points])
-        seeds = self.seeds if cell.road is not None else first + np.arange(len(points))
+        seeds = self.seeds if self.varies_road else first + np.arange(len(points))
         traffic = cell.traffic.traffic.make()
         networks = networks_of(agent, traffic, self.folder)
         agents = {each.key: each.make(networks) for each in drivers_of(agent, traffic)}
@@ -265,17 +276,20 @@ def surroundings_of(
 ) -> Surroundings:
     """A suite's scenario, or its road with parameters and a traffic model; None is the only one.
 
-    Raises an `InputError`.
+    A scenario can be on one of the roads. Raises an `InputError`.
     """
-    if not suite.roads:
-        return Surroundings(None, suite.traffics[scenario_of(path, suite, traffic)])
-    roads = {each.title: each for each in suite.roads if each.parameters}
-    if not roads:
+    varied = {each.title: each for each in suite.roads if each.parameters}
+    traffics = {each.title: each for each in suite.traffics}
+    scenarios = [each.title for each in suite.traffics if each.traffic.scenario]
+    if not suite.roads or traffic in scenarios or (scenarios and not varied):
+        entry = suite.traffics[scenario_of(path, suite, traffic)]
+        roads = {each.title: each for each in suite.roads}
+        return Surroundings(roads[_chosen(path, "road", roads, road)] if roads else None, entry)
+    if not varied:
         what = "no road has `parameters` to search; give one of them, such as"
         raise InputError(f"{path}: {what} {{vehicles_count: [3, 12]}}, the range of a number")
-    traffics = {each.title: each for each in suite.traffics}
     return Surroundings(
-        roads[_chosen(path, "road", roads, road)],
+        varied[_chosen(path, "road", varied, road)],
         traffics[_chosen(path, "traffic", traffics, traffic)],
     )
 

@@ -61,7 +61,9 @@ class Placed(Traffic):
         self._by_vehicle = np.array(agents)
 
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
-        return np.tile(self._by_vehicle, (scenes, 1))
+        there_is_room_for = vehicles - self._by_vehicle.size  # on a road with more places
+        everyone = np.pad(self._by_vehicle, (0, there_is_room_for), mode="edge")
+        return np.tile(everyone, (scenes, 1))
 
 
 class Mixture(Traffic):

@@ -241,6 +241,13 @@ def with_ego_index(rows: pl.DataFrame, ego: int) -> pl.DataFrame:
     return rows.select("episode", pl.lit(ego, I8).alias(EGO_INDEX), pl.exclude("episode"))
 
 
+def of_ego(rows: pl.DataFrame, ego: int) -> pl.DataFrame:
+    """The rows of one ego, which are all where there are not several, without its number."""
+    if EGO_INDEX not in rows.columns:
+        return rows
+    return rows.filter(pl.col(EGO_INDEX) == ego).drop(EGO_INDEX)
+
+
 def _record(schema: pl.Schema, names: Iterable[str]) -> np.dtype[np.void]:
     types = [(name, pl.Series(dtype=schema[name]).to_numpy().dtype) for name in names]
     return np.dtype(types, align=True)

@@ -60,8 +60,9 @@ from charms_bench.roads.scenes import (
     lane_of,
     vehicle_of,
 )
-from charms_bench.roads.settings import ONLY_EGOS, profiles_of
-from charms_bench.roads.sizes import set_types
+from charms_bench.roads.scripts import RoadScript
+from charms_bench.roads.settings import ONLY_EGOS, profiles_of, room_on
+from charms_bench.roads.sizes import set_types, tidy
 from charms_bench.roads.stepping import collide, move_all
 from charms_bench.roads.straightened import BEHIND, Ways, find_way, straighten
 from charms_bench.roads.views import RoadViews
@@ -105,8 +106,7 @@ class RoadEngine(Shown):
         assert settings.network is not None
         hz = settings.simulation_hz
         inflow = settings.inflow
-        room = inflow.capacity if inflow else 0
-        self.episodes = episodes_of_agents(settings.network, scenes, hz, room)
+        self.episodes = episodes_of_agents(settings.network, scenes, hz, room_on(settings))
         """The scenes on the network, of whose tables `state` is a view."""
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self._seen = Scene.empty(settings, scenes, parameters, memory)
@@ -125,7 +125,11 @@ class RoadEngine(Shown):
         on_network.constants["mixed_sizes"] = bool(settings.vehicle_types)
         self.has_goal = task.has_goal
         self._inflow = RoadInflow(settings, on_network, task.starts) if inflow else None
-        if inflow:
+        self._script: RoadScript | None = None
+        if (scenario := settings.scenario) is not None:
+            self._script = RoadScript(settings, on_network, task)
+            on_network.constants["mixed_sizes"] = scenario.has_sizes
+        if inflow or scenario:
             task.open_ends()
         self.renewal_steps = 1 if inflow else 0
         if task.comes_and_goes:
@@ -144,6 +148,8 @@ class RoadEngine(Shown):
         self._ways = Ways.empty(*shape)
         self._settings, self._models = settings, models
         self._continuous, self._prescribed = list(continuous), list(prescribed)
+        if self._script is not None:  # prescribed vehicles are put where they are to be
+            self._followers, self._prescribed = self._prescribed, []
         profiles, default = profiles_of(settings), {-1: DEFAULT_ACTIONS}
         self._rules = {
             (k, is_ego): command_rule(profile, own)
@@ -209,6 +215,9 @@ class RoadEngine(Shown):
             episodes.task.numbers = numbers
         vehicles, kinds = episodes.scenes.vehicles, self._kinds
         episodes.start(rows)
+        if self._script is not None:
+            self._script.place_on(episodes.scenes, rows, seeds)
+            tidy(episodes.scenes, rows)
         self._seat_ego(rows)
         self._seed(rows, seeds)
         if self._inflow:
@@ -427,6 +436,9 @@ class RoadEngine(Shown):
         is_controlled = vehicles["kind"][rows] <= CONTINUOUS
         target_speed *= (self._kinds[rows] == BY_ENVIRONMENT) | ~is_controlled
         vehicles["target_speed"][rows] = target_speed
+        if self._script is not None:
+            follows = _are(self.drivers, self._followers)
+            self._script.resume(self.episodes.scenes, rows, seeds, follows)
         self._show(rows)
 
     @property
@@ -528,10 +540,15 @@ class RoadEngine(Shown):
                 if some.size and not (is_ego and hold_egos):
                     self._drive(model, (found[0][some], found[1][some]))
         put = None if self.moments is None or before_move is None else before_move()
+        if self._script is not None:
+            follows = _are(self.drivers, self._followers) & self._present
+            put = self._script.put(self.episodes.scenes, rows, follows)
         known = scene.unpacked, self._views.unpacked, self._ways.unpacked
         advance(self.episodes.scenes, *known, rows, ~self._moved[rows], self._kinds, put)
         self._moved[rows] = True
         self.episodes.scenes.time[rows] += 1 / self._settings.simulation_hz
+        if self._script is not None:
+            self._script.show_targets(self.episodes.scenes)
         for egos in self.configured.values():
             egos.keeps[rows] = False
         self._entries.note(self.episodes.scenes, rows)

@@ -215,6 +215,14 @@ class FileRoad(Task):
     def send(self, scenes: Scenes, b: int, i: int) -> None:
         _send(scenes, b, i, self.routes, self._inside)
 
+    def head_for(self, scenes: Scenes, rows: Ints, i: int, destination: str) -> None:
+        """Sends it to the end of the first road that leads to the node and is a goal."""
+        ends = {first for (_, end, _), first in self.layout.lanes.items() if end == destination}
+        goals = [g for g, first in enumerate(self.routes.goals.tolist()) if first in ends]
+        if not goals:
+            raise InputError(f"destination: no road outside of junctions leads to '{destination}'")
+        _head_for(scenes, rows, i, self.routes, goals[0])
+
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         """There is no reward; environments have their own."""
         rewards[rows] = 0.0
@@ -402,6 +410,14 @@ def _send(scenes: Scenes, b: int, i: int, routes: Routes, inside: Ints) -> None:
     left_m = scenes.road.lanes[vehicle.lane].length - coordinates_of(here, i, vehicle.lane).s
     speed = set_off(scenes, here, b, i, routes, inside, left_m)
     vehicle.speed = min(vehicle.speed, speed)
+
+
+@compiled_of_scenes
+def _head_for(scenes: Scenes, rows: Ints, i: int, routes: Routes, goal: int) -> None:
+    """Gives a vehicle a goal, and its way there."""
+    for b in rows:
+        scenes.vehicles[b, i].goal = goal
+        plan_way(scenes.vehicles[b, i], scenes.road, routes, scenes.vehicles[b, i].lane, True)
 
 
 @compiled_of_scenes

@@ -12,6 +12,7 @@ from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.roads import OF_SEVERAL_EGOS, OF_SUITES, TASKS
 from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.episodes import episodes_of_agents
+from charms_bench.roads.layout import Layout
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.highway_env_observation import HighwayEnv
 from charms_bench.world.kinematics_observation import Kinematics
@@ -19,6 +20,7 @@ from charms_bench.world.moments import Moments
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.observations import observation_of
 from charms_bench.world.profile import Profile
+from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import SceneSettings
 
 _OF_STRAIGHT_ROADS = {
@@ -69,6 +71,12 @@ class _Road(NamedTuple):
     """Of a recorded scene."""
     no_inflow: str
     """Why vehicles cannot flow in; empty if they can."""
+    egos: int
+    vehicles: int
+    """The places of vehicles, with the egos."""
+    layout: Layout
+    home: tuple[str, str] | None
+    """The nodes of the road where the ego starts; None if it is drawn."""
 
 
 def _check(road: NamedRoad) -> None:
@@ -109,7 +117,28 @@ def _road(road: NamedRoad) -> _Road:
     if "spawn_probability" in episodes.config:
         no_inflow = "vehicles come to it anyway, by its configuration.spawn_probability"
     task, numbers = episodes.task, (float(width), float(speed), float(slowest))
-    return _Road(places, lanes, *numbers, task.duration, task.moments, no_inflow)
+    of_task = task.egos, task.vehicles, task.layout
+    names = list(task.lanes)
+    home = None if road.file else names[int(scenes.vehicles["lane"][0, 0])][:2]
+    return _Road(places, lanes, *numbers, task.duration, task.moments, no_inflow, *of_task, home)
+
+
+def layout_on(settings: SceneSettings) -> tuple[Layout, tuple[str, str] | None]:
+    """The lanes of a road, and the nodes of the one where its ego starts; None if it is drawn."""
+    assert settings.network is not None
+    found = _road(settings.network)
+    return found.layout, found.home
+
+
+def egos_on(settings: SceneSettings) -> int:
+    """The number of vehicles in a scene that the agent of the ego drives."""
+    return 1 if settings.network is None else _road(settings.network).egos
+
+
+def room_on(settings: SceneSettings) -> int:
+    """How many vehicles there is room for beside those of the road itself."""
+    assert settings.network is not None
+    return settings.vehicles - _road(settings.network).places
 
 
 def refuse_of_straight_roads(road: NamedRoad, given: Collection[str]) -> None:
@@ -124,11 +153,14 @@ def refuse_of_straight_roads(road: NamedRoad, given: Collection[str]) -> None:
 
 
 def on_road(
-    settings: SceneSettings, road: NamedRoad, duration_s: float | None = None
+    settings: SceneSettings,
+    road: NamedRoad,
+    duration_s: float | None = None,
+    scenario: Scenario | None = None,
 ) -> SceneSettings:
     """The same settings for scenes on one of highway-env's roads.
 
-    By default, the duration is that of the settings.
+    By default, the duration is that of the settings, and the vehicles are those of the road.
 
     Raises:
         InputError: There is no such road, its configuration is wrong, or the settings place
@@ -140,6 +172,9 @@ def on_road(
         "duration" in DEFAULTS[road.environment]
     ):  # which decides how many vehicles there is room for
         configuration = {**(road.configuration or {}), "duration": duration_s}
+        road = road.model_copy(update={"configuration": configuration})
+    if scenario is not None and "spawn_probability" in DEFAULTS[road.environment]:
+        configuration = {**(road.configuration or {}), "spawn_probability": 0.0}
         road = road.model_copy(update={"configuration": configuration})
     found, defaults = _road(road), SceneSettings.model_fields
     refuse_of_straight_roads(
@@ -161,7 +196,15 @@ def on_road(
     if found.lane_width != settings.profile.lane_width_m:
         width = {"lane_width_m": found.lane_width}
         changes["profile"] = settings.profile.model_copy(update=width)
-    return settings.model_copy(update=changes)
+    settings = settings.model_copy(update=changes)
+    if scenario is None:
+        return settings
+    if found.moments is not None or found.egos > 1:
+        what = "configuration.start" if found.moments is not None else "all egos but one"
+        raise InputError(f"the road '{road}': a scenario places all vehicles; remove {what}")
+    room = max(0, len(scenario.vehicles) + 1 - found.vehicles)
+    count = {"traffic_vehicles": found.places + room - 1}
+    return settings.of_scenario(scenario).model_copy(update=count)
 
 
 def moments_on(road: NamedRoad) -> Moments:

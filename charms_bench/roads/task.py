@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.foundation.arrays import Bools, Floats, Ints
-from charms_bench.foundation.compiled import compiled
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import random, uniform
 from charms_bench.roads.fault import ranks_of
 from charms_bench.roads.layout import Edge, Layout, RoadObject
@@ -129,6 +129,10 @@ class Task(ABC):
     def send(self, scenes: Scenes, b: int, i: int) -> None:  # noqa: B027  # most do nothing
         """Gives vehicle i of scene b, which has flowed in, its route."""
 
+    def head_for(self, scenes: Scenes, rows: Ints, i: int, destination: str) -> None:
+        """Gives vehicle i of the scenes `rows` (R,) a route to a node."""
+        head_for(scenes, rows, i, self.layout.routes_to([destination]))
+
     def entering(self, scenes: Scenes) -> Ints:
         """The vehicle (B,) that will enter a road on which others have the right of way.
 
@@ -158,6 +162,13 @@ def plan_route(scenes: Scenes, b: int, i: int, routes: Ints, destination: int) -
     vehicle.route_roads[0], vehicle.route_numbers[0] = first, vehicle.lane - first
     for k in range(1, 1 + route[0]):
         vehicle.route_roads[k], vehicle.route_numbers[k] = route[k], -1
+
+
+@compiled_of_scenes
+def head_for(scenes: Scenes, rows: Ints, i: int, routes: Ints) -> None:
+    """See `Task.head_for`."""
+    for b in rows:
+        plan_route(scenes, b, i, routes, 0)
 
 
 @compiled

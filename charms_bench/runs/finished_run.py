@@ -70,9 +70,11 @@ class FinishedRun:
         place = index % len(suite.surroundings)
         if place not in self._left_out:
             from charms_bench.engine.pile_ups import pile_ups  # loads the compiled engine
+            from charms_bench.runs.shard import engine_on  # as this does
 
             seeds = np.arange(suite.seed, suite.seed + suite.episodes)
-            self._left_out[place] = pl.Series(seeds[pile_ups(cell.scene, seeds)], dtype=pl.UInt64)
+            found = pile_ups(cell.scene, seeds, engine_on(cell.scene))
+            self._left_out[place] = pl.Series(seeds[found], dtype=pl.UInt64)
         if len(self._left_out[place]) == suite.episodes:
             raise SuiteError(
                 f"suite '{suite.suite}': {cell.traffic.title}: prescribed vehicles collide with "

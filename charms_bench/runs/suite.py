@@ -33,7 +33,7 @@ from charms_bench.runs.document import Document, Location
 from charms_bench.runs.suite_roads import RoadEntry, refuse_roads_of_traffic, with_defaults_of_roads
 from charms_bench.world.moments import RecordedScene, moments_of
 from charms_bench.world.named_road import DRAWN, ENVIRONMENT
-from charms_bench.world.placement import driver_parameters, place
+from charms_bench.world.placement import Placing, driver_parameters, place
 from charms_bench.world.scenario import PRESCRIBED, Scenario
 from charms_bench.world.scene import EVALUATION_SEEDS, Ints, SceneSettings
 from charms_bench.world.vehicle_types import check_driver_parameters
@@ -239,8 +239,6 @@ class Suite(FrozenModel):
             raise ValueError("pairs needs two or more egos and one traffic model")
         if not self.roads and any(each.traffic.is_environment for each in self.traffics):
             raise ValueError(f"the traffic model `{ENVIRONMENT}` is that of `roads`; give some")
-        if self.roads and any(each.traffic.scenario for each in self.traffics):
-            raise ValueError("a scenario places vehicles on the straight road; remove the roads")
         if self.references and len(self.egos) > 1:
             raise ValueError("references are compared with traffic models; expected one ego")
         if alike([reference.title for reference in self.references]):
@@ -284,7 +282,7 @@ class Suite(FrozenModel):
             return self.scene.of_scenario(traffic.traffic.scenario)
         from charms_bench.roads.settings import on_road  # slow to import
 
-        return on_road(self.scene, road.road, road.duration_s)
+        return on_road(self.scene, road.road, road.duration_s, traffic.traffic.scenario)
 
     def with_road(self, keys: tuple[str, ...]) -> tuple[str, ...]:
         """The keys of a table, and the road before the traffic model if there are `roads`."""
@@ -342,17 +340,18 @@ def suite_of(document: Document) -> Suite:
                 suite._scene_of(Surroundings(each, suite.traffics[0]))
         except InputError as error:
             raise document.error(("roads", index), str(error)) from error
-    for index, entry in enumerate(suite.traffics):
-        at, scenario = ("traffic_models", index, "traffic"), entry.traffic.scenario
+    for where in suite.surroundings:
+        at = ("traffic_models", suite.traffics.index(where.traffic), "traffic")
+        scenario = where.traffic.traffic.scenario
         try:
-            suite._scene_of(Surroundings(None, entry))
+            settings = suite._scene_of(where)
         except InputError as error:
             raise document.error(at, str(error)) from error
         if scenario is not None:
             end = suite.seed + suite.episodes
             for first in range(suite.seed, end, PLACED_AT_ONCE):
                 numbers = np.arange(first, min(first + PLACED_AT_ONCE, end))
-                check_placement(document, (*at, "scenario"), scenario, suite.scene, numbers)
+                check_placement(document, (*at, "scenario"), scenario, settings, numbers)
     _check_types(document, suite)
     if suite.scene.recording is not None:
         count = len(moments_of(suite.scene))
@@ -382,16 +381,20 @@ def _check_moments(document: Document, index: int, suite: Suite, road: RoadEntry
 
 
 def check_placement(
-    document: Document, at: Location, scenario: Scenario, scene: SceneSettings, numbers: Ints
+    document: Document, at: Location, scenario: Scenario, settings: SceneSettings, numbers: Ints
 ) -> None:
     """Checks that the vehicles of a scenario can be placed at its points of these numbers (R,).
 
     Raises a `SuiteError` with the line, the document having the scenario at `at`, and the values of
     the parameters.
     """
-    settings = scene.of_scenario(scenario)
+    kind = Placing
+    if settings.network is not None:
+        from charms_bench.roads.scripts import PlacingOnRoad  # slow to import
+
+        kind = PlacingOnRoad
     try:
-        place(scenario, settings, numbers)
+        place(scenario, settings, numbers, kind)
         for k, vehicle in enumerate(scenario.vehicles):
             if vehicle.driver_parameters:
                 ranges = _ranges_of(str(vehicle.agent))

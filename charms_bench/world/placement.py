@@ -26,8 +26,9 @@ class Placement(NamedTuple):
     """
 
     x: Floats
-    """[R, N] m."""
+    """[R, N] m; on a road that is not straight, along the lane."""
     lane: NDArray[np.int64]
+    """[R, N]"""
     speed: Floats
     """[R, N] m/s."""
     length: Floats
@@ -45,20 +46,27 @@ class Placement(NamedTuple):
     duration: Floats
     """[R, N, K] s."""
     moves_to: NDArray[np.int64]
-    """[R, N, K] its lane."""
+    """[R, N, K] its lane; on a road that is not straight, counted from the left."""
     moves_by: Floats
     """[R, N, K] its displacement, m."""
 
 
-def place(scenario: Scenario, settings: SceneSettings, numbers: NDArray[Any]) -> Placement:
+def place(
+    scenario: Scenario,
+    settings: SceneSettings,
+    numbers: NDArray[Any],
+    kind: "type[Placing] | None" = None,
+) -> Placement:
     """Returns the concrete scenarios of the points (R,) with these numbers.
+
+    `kind` places the vehicles; by default, on the straight road.
 
     Raises:
         ScenarioError: A formula is wrong, or a point has an impossible placement.
     """
     _check_points(scenario, numbers)
     values = values_at(scenario, numbers)
-    return _Placing(scenario, settings, values, numbers.size).placement()
+    return (kind or Placing)(scenario, settings, values, numbers.size).placement()
 
 
 def driver_parameters(
@@ -81,7 +89,7 @@ def driver_parameters(
         ScenarioError: The agent has no such parameter, or the value is out of its range.
     """
     vehicle, values = scenario.vehicles[k], values_at(scenario, numbers)
-    placing, given = _Placing(scenario, settings, values, numbers.size), {}
+    placing, given = Placing(scenario, settings, values, numbers.size), {}
     for name, formula in vehicle.driver_parameters.items():
         at = ("vehicles", k, "driver_parameters", name)
         if name not in ranges:
@@ -110,8 +118,11 @@ def _check_points(scenario: Scenario, numbers: NDArray[Any]) -> None:
         )  # fmt: skip
 
 
-class _Placing:
-    """Evaluates the formulas of a scenario at some points, and checks what comes out."""
+class Placing:
+    """Evaluates the formulas of a scenario at some points, and checks what comes out.
+
+    A scenario on a road that is not straight is another kind of it; see `roads.scripts`.
+    """
 
     def __init__(
         self,
@@ -121,6 +132,7 @@ class _Placing:
         count: int,
     ) -> None:
         self._scenario, self._values, self._count = scenario, values, count
+        self._starts: tuple[EgoStart | PlacedVehicle, ...] = (scenario.ego, *scenario.vehicles)
         self._road, self._c = settings.road, settings.constants
 
     def placement(self) -> Placement:
@@ -143,14 +155,12 @@ class _Placing:
             moves_by=np.zeros((*shape, actions)),
         )
         names: dict[str, int] = {}
-        starts: tuple[EgoStart | PlacedVehicle, ...] = (scenario.ego, *vehicles)
-        for i, vehicle in enumerate(starts):
+        for i, vehicle in enumerate(self._starts):
             at: Location = ("vehicles", i - 1) if i else (EGO,)
             name = vehicles[i - 1].name if i else EGO
             if name in names:
                 raise ScenarioError((*at, "name"), f"'{name}' is already a vehicle")
             names[name] = i
-            made.lane[:, i] = self._lane((*at, "lane"), vehicle.lane)
             low, high = max(0.0, c.speed_min), c.speed_max
             made.speed[:, i] = self.within((*at, "speed_mps"), vehicle.speed_mps, low, high)
             for field, own, bounds in (
@@ -159,19 +169,34 @@ class _Placing:
             ):
                 if (formula := getattr(vehicle, field)) is not None:
                     own[:, i] = self.within((*at, field), formula, *bounds)
-            made.x[:, i] = self._x(i, at, names, made)
+            self._put(i, at, names, made)
             self._check_free(i, at, made, list(names))
             for k, action in enumerate(vehicles[i - 1].actions if i else ()):
                 self._set_action(i, k, (*at, "actions", k), action, made)
         return made
 
-    def _x(self, i: int, at: Location, names: Mapping[str, int], made: Placement) -> Floats:
-        ends = (-END_MARGIN_M, self._road.road_length)
-        vehicle = self._scenario.vehicles[i - 1] if i else None
-        if vehicle is None or vehicle.x_m is not None:
-            formula = vehicle.x_m if vehicle else self._scenario.ego.x_m
-            assert formula is not None
-            return self.within((*at, "x_m"), formula, *ends)
+    def _put(self, i: int, at: Location, names: Mapping[str, int], made: Placement) -> None:
+        """Fills in the lane of a vehicle, and where it is along it."""
+        vehicle, ends = self._starts[i], (-END_MARGIN_M, self._road.road_length)
+        for field in ("road", "destination"):
+            if getattr(vehicle, field) is not None:
+                what = "is a key on one of the suite's `roads`; remove it on the straight road"
+                raise ScenarioError((*at, field), what)
+        made.lane[:, i] = self._lane((*at, "lane"), vehicle.lane, self._road.lanes)
+        if vehicle.x_m is not None:
+            made.x[:, i] = self.within((*at, "x_m"), vehicle.x_m, *ends)
+            return
+        other, distance = self._from_other(i, at, names, made)
+        made.x[:, i] = found = made.x[:, other] + distance
+        outside = ~((found >= ends[0]) & (found < ends[1]))
+        self._check((*at, "gap_m"), outside, f"off the road, at x {{:g}} m; expected "
+                    f"{ends[0]:g} to {ends[1]:g}", found)  # fmt: skip
+
+    def _from_other(
+        self, i: int, at: Location, names: Mapping[str, int], made: Placement
+    ) -> tuple[int, Floats]:
+        """The vehicle to which vehicle i has a gap, and how far ahead of its centre it is, m."""
+        vehicle = self._scenario.vehicles[i - 1]
         field = "ahead_of" if vehicle.ahead_of is not None else "behind"
         other = str(getattr(vehicle, field))
         known = {name: place for name, place in names.items() if place < i}
@@ -182,24 +207,22 @@ class _Placing:
         gap = self._value((*at, "gap_m"), vehicle.gap_m)
         sign = 1.0 if field == "ahead_of" else -1.0
         lengths = (made.length[:, i] + made.length[:, known[other]]) / 2
-        found = made.x[:, known[other]] + sign * (gap + lengths)
-        outside = ~((found >= ends[0]) & (found < ends[1]))
-        self._check((*at, "gap_m"), outside, f"off the road, at x {{:g}} m; expected "
-                    f"{ends[0]:g} to {ends[1]:g}", found)  # fmt: skip
-        return found
+        return known[other], sign * (gap + lengths)
 
     def _check_free(self, i: int, at: Location, made: Placement, names: Sequence[str]) -> None:
         """Rejects a vehicle that overlaps one before it."""
-        vehicle = self._scenario.vehicles[i - 1] if i else None
-        field = "gap_m" if vehicle and vehicle.gap_m is not None else "x_m"
+        field = "gap_m" if self._starts[i].x_m is None else "x_m"
         for j in range(i):
             least = (made.length[:, i] + made.length[:, j]) / 2
-            is_level = np.abs(made.x[:, i] - made.x[:, j]) < least
-            apart = np.abs(self._y_of(made.lane[:, i]) - self._y_of(made.lane[:, j]))
-            overlaps = is_level & (apart < (made.width[:, i] + made.width[:, j]) / 2)
+            along, apart = self._between(made, i, j)
+            overlaps = (along < least) & (apart < (made.width[:, i] + made.width[:, j]) / 2)
             what = f"overlaps '{names[j]}': {{:g}} m between their centres; expected at least "
-            self._check((*at, field), overlaps, f"{what}{least[overlaps.argmax()]:g} m",
-                        np.abs(made.x[:, i] - made.x[:, j]))  # fmt: skip
+            self._check((*at, field), overlaps, f"{what}{least[overlaps.argmax()]:g} m", along)
+
+    def _between(self, made: Placement, i: int, j: int) -> tuple[Floats, Floats]:
+        """The distances (R,) between the centres of two vehicles, along the road and across it."""
+        apart = self._y_of(made.lane[:, i]) - self._y_of(made.lane[:, j])
+        return np.abs(made.x[:, i] - made.x[:, j]), np.abs(apart)
 
     def _set_action(self, i: int, k: int, at: Location, action: Action, made: Placement) -> None:
         c = self._c
@@ -217,7 +240,7 @@ class _Placing:
             return
         assert action.lane is not None
         assert action.duration_s is not None
-        lane = self._lane((*at, "lane"), action.lane)
+        lane = self._lane((*at, "lane"), action.lane, self._road.lanes)
         duration = self.within((*at, "duration_s"), action.duration_s, c.dt, np.inf)
         start, ready = made.lane[:, i], np.full(self._count, -np.inf)
         for earlier in range(k):
@@ -234,11 +257,13 @@ class _Placing:
     def _y_of(self, lane: NDArray[np.int64]) -> Floats:
         return np.asarray(position(self._road, lane, 0.0, 0.0)[1])
 
-    def _lane(self, at: Location, formula: Formula) -> NDArray[np.int64]:
-        last = self._road.lanes - 1
+    def _lane(self, at: Location, formula: Formula, lanes: Any) -> NDArray[np.int64]:
+        """The lanes (R,) of a road with so many lanes, which can be (R,) too."""
+        last = np.broadcast_to(lanes, (self._count,)) - 1
         lane = self._value(at, formula)
-        what = f"lane {{:g}} is not on the road; expected a whole number from 0 to {last}"
-        self._check(at, ~((lane == np.floor(lane)) & (lane >= 0) & (lane <= last)), what, lane)
+        is_wrong = ~((lane == np.floor(lane)) & (lane >= 0) & (lane <= last))
+        expected = f"expected a whole number from 0 to {last[is_wrong.argmax()]}"
+        self._check(at, is_wrong, f"lane {{:g}} is not on the road; {expected}", lane)
         return np.asarray(lane.astype(np.int64))
 
     def within(self, at: Location, formula: Formula, low: float, high: float) -> Floats:

@@ -8,7 +8,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name, Positive
+from charms_bench.foundation.fields import (
+    UNLESS_EMPTY,
+    Finite,
+    FrozenModel,
+    Line,
+    Name,
+    Positive,
+)
 from charms_bench.foundation.formula import Formula
 
 EGO = "ego"
@@ -17,6 +24,10 @@ PRESCRIBED = "prescribed"
 """What drives a vehicle without an agent: its prescribed actions."""
 POINTS_LIMIT = 100_000
 """Most points that a scenario lists."""
+Nodes = Annotated[tuple[Name, Name] | None, Field(strict=False), UNLESS_EMPTY]
+"""The road between two nodes."""
+Node = Annotated[Name | None, UNLESS_EMPTY]
+"""The node to which a vehicle drives."""
 
 
 class Parameter(FrozenModel):
@@ -83,6 +94,12 @@ class EgoStart(FrozenModel):
     length_m: Formula | None = None
     """Its length and its width are the profile's by default."""
     width_m: Formula | None = None
+    road: Nodes = None
+    """On one of the suite's `roads`, the names of the two nodes between which its lane is, such as
+    `[b, c]`; by default, where the ego of highway-env's environment starts."""
+    destination: Node = None
+    """On one of the suite's `roads`, the node to which it drives; by default, it keeps the route of
+    the environment, if it starts on it."""
 
 
 class PlacedVehicle(FrozenModel):
@@ -112,6 +129,12 @@ class PlacedVehicle(FrozenModel):
     ranges by default."""
     actions: Annotated[tuple[Action, ...], Field(max_length=20, strict=False)] = ()
     """What a vehicle without an agent does, at most 20 actions."""
+    road: Nodes = None
+    """On one of the suite's `roads`, the names of the two nodes between which its `x_m` begins; by
+    default, they are those of the ego."""
+    destination: Node = None
+    """On one of the suite's `roads`, the node to which it drives; by default, it goes on to the
+    nearest lane wherever a lane ends."""
 
     @model_validator(mode="after")
     def _is_placed_once(self) -> "PlacedVehicle":

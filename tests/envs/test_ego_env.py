@@ -352,8 +352,8 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
             "remove scene.lanes, or give the road configuration.lanes_count instead",
         ),
         (
-            {"road": "merge-v1", "traffic": CUT_IN},
-            "a scenario places vehicles on the straight road",
+            {"road": "intersection-multi-agent-v1", "traffic": CUT_IN},
+            "a scenario places all vehicles; remove all egos but one",
         ),
         (
             {"traffic": {"road": "merge-v0", "drivers": "human"}},

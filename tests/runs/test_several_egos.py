@@ -1,11 +1,13 @@
 """A road with several egos gives a row for each of them."""
 
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
+from charms_bench.api.evaluation import run as run_file
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
 from charms_bench.metrics.collisions import OF_EGO
@@ -79,6 +81,26 @@ def test_each_ego_has_a_row(rows: dict[str, pl.DataFrame]) -> None:
     assert episodes == [(k, ego) for k in range(EPISODES) for ego in range(2)]
     starts = rows["steps"].filter(step=1).select("ego_index", "x").group_by("ego_index").len()
     assert sorted(starts.rows()) == [(0, EPISODES), (1, EPISODES)]
+
+
+def test_the_replay_of_an_ego_has_its_rows(tmp_path: Path) -> None:
+    path = tmp_path / "several.yaml"
+    path.write_text(
+        "suite: several\nepisodes: 2\nscene: {duration_s: 6}\negos: [{agent: idm_mobil}]\n"
+        "roads: [{name: exit-v1, configuration: {controlled_vehicles: 3, vehicles_count: 6}}]\n"
+    )
+    made = run_file(path, tmp_path / "run", workers=1)
+    shown = made.replay(1, ego_index=2)
+    rows = made.steps.filter(episode=1, ego_index=2).drop("ego_index")
+    assert shown.steps["x"].to_list() == rows["x"].to_list()
+    assert shown.agents[:4] == (*["idm_mobil"] * 3, "IDM of highway-env")
+    assert shown.title == "idm_mobil in exit-v1, ego 2"
+    ranked = {(case.episode, case.ego_index) for case in made.edge_cases(top=9)}
+    assert ranked == {(episode, ego) for episode in range(2) for ego in range(3)}
+    with pytest.raises(InputError, match="expected an ego index from 0 to 2, found 3"):
+        made.replay(0, ego_index=3)
+    with pytest.raises(InputError, match="one ego where another agent takes over"):
+        made.what_if(0, 1, "human")
 
 
 def test_sums_are_those_of_both_egos_by_episode(rows: dict[str, pl.DataFrame]) -> None:

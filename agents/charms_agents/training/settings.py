@@ -58,7 +58,7 @@ class Condition(FrozenModel):
         if scenario and scenario.points != "random":
             raise ValueError("traffic.scenario.points: expected random, for episodes of a training")
         if scenario and self.roads:
-            raise ValueError("a scenario places vehicles on the straight road; remove the roads")
+            raise ValueError("a scenario of a training is on the straight road; remove the roads")
         return self
 
     @property

@@ -128,9 +128,9 @@ def _check_conditions(
             placed.add(key)
             first = suite.first_episode_seed
             numbers = np.arange(first, first + PLACED)
-            check_placement(
-                document, (*at, "traffic", "scenario"), traffic.scenario, scene, numbers
-            )
+            where = (*at, "traffic", "scenario")
+            settings = scene.of_scenario(traffic.scenario)
+            check_placement(document, where, traffic.scenario, settings, numbers)
 
 
 def _applied(document: Document, at: Location, condition: Condition, stage: Stage) -> SceneSettings:

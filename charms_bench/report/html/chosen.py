@@ -152,7 +152,7 @@ def _most_critical(runs: Sequence[Evaluation], top: int) -> list[Place]:
     found: dict[tuple[str, int], tuple[float, Place]] = {}
     for index, run in enumerate(runs):
         # Enough that episodes which other runs have too can be left out.
-        best = ranked(find_cells(run.run, Path())).head(top * len(runs))
+        best = ranked(find_cells(run.run, Path(), ego_index=0)).head(top * len(runs))
         for value, cell, episode in best.select("criticality", "cell", "episode").rows():
             # The key of its shard names everything that the rows of an episode depend on.
             key = next(

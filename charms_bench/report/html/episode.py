@@ -25,7 +25,7 @@ def for_page(
     measured = criticality(replay.episodes, replay.steps, replay.settings, since)
     label = (
         "Over time: gaps ahead and behind, time to collision, speed and reward of "
-        f"{replay.cell.title}, episode {replay.episode}"
+        f"{replay.title}, episode {replay.episode}"
     )
     return {
         "id": name,

@@ -26,7 +26,7 @@ def replay_in_frame(replay: Replay, ghosts: Replay | None = None, since: int = 1
     notebook.
     """
     shown = for_page(f"episode-{replay.episode}", replay, ghosts, since)
-    title = f"{replay.cell.title}, episode {replay.episode}"
+    title = f"{replay.title}, episode {replay.episode}"
     page = render([], title, [shown], has_ghosts=ghosts is not None)
     page = page.replace("</head>", f"<style>{ALONE}</style>\n</head>", 1)
     address = f"data:text/html;charset=utf-8;base64,{b64encode(page.encode()).decode()}"
