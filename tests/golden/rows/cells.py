@@ -101,7 +101,7 @@ def with_stand_ins(name: str, folder: Path) -> Suite:
 
 
 def networks(name: str, folder: Path) -> list[Path]:
-    """Returns those of this project; they stand in for those of the paper's authors."""
+    """Returns those of the straight road; they stand in for those of the paper's authors."""
     beside = earlier_networks(folder) if name in EARLIER else PROJECT / "networks"
-    packaged = (PROJECT / "agents" / "charms_agents" / "policies").glob("charms_*.onnx")
+    packaged = (PROJECT / "agents" / "charms_agents" / "policies").glob("charms_[eps]*.onnx")
     return [*sorted(packaged), *sorted(beside.glob("seed-*/*.onnx"))]
