@@ -2,7 +2,6 @@
 
 # ruff: noqa: E402  (nothing below can be imported without the extra 'train')
 
-import io
 import json
 import os
 import pickle
@@ -23,7 +22,8 @@ import gymnasium
 from charms_agents.training import sb3_export
 from charms_agents.training.network_file import KINDS, read_network
 from charms_agents.training.sb3_export import export_zip
-from handmade_weights import dqn_weights, ppo_weights
+from handmade_weights import ppo_weights
+from made_checkpoints import Blank, zipped
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from typer.testing import CliRunner
 
@@ -42,14 +42,6 @@ egos: [{agent: {onnx: out.onnx}}]
 traffic_models: [{traffic: idm_mobil}]
 """
 FACTS = {"decision_hz": "5", "style": "hasty"}
-
-
-class Blank(gymnasium.Env[Any, Any]):
-    """Spaces without anything in them."""
-
-    def __init__(self, shape: tuple[int, ...] = (7, 5), actions: int = 5) -> None:
-        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, shape, np.float32)
-        self.action_space = gymnasium.spaces.Discrete(actions)
 
 
 def saved(folder: Path, **spaces: Any) -> tuple[Any, Path]:
@@ -84,21 +76,6 @@ def saved_actor(folder: Path, kind: str, low: float = -1.0, **settings: Any) -> 
     path = folder / f"{kind}.zip"
     model.save(path)
     return model, path
-
-
-def zipped(folder: Path, policy: object = None, **members: bytes) -> Path:
-    """A checkpoint with some object in its `policy.pth`, or with those bytes."""
-    path = folder / "made.zip"
-    content = policy
-    if not isinstance(content, bytes):
-        buffer = io.BytesIO()
-        torch.save(dqn_weights() if policy is None else policy, buffer)
-        content = buffer.getvalue()
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("policy.pth", content)
-        for name, data in members.items():
-            archive.writestr(name, data)
-    return path
 
 
 class Hostile:
@@ -190,21 +167,6 @@ def test_a_ppos_file_takes_its_likeliest_actions(
     made = export_zip(path, tmp_path / "out.onnx", FACTS)
     assert_acts_alike(model, tmp_path / "out.onnx")
     assert (made["sizes"], made["activation"], made["ties"]) == (sizes, activation, 0)
-
-
-def test_an_a2cs_policy_is_read_like_a_ppos(tmp_path: Path) -> None:
-    sb3.A2C("MlpPolicy", Blank(), device="cpu").save(tmp_path / "a2c.zip")
-    made = export_zip(tmp_path / "a2c.zip", tmp_path / "out.onnx", FACTS)
-    assert (made["sizes"], made["activation"]) == ([35, 64, 64, 5], "Tanh")
-
-
-def test_a_dqn_that_was_given_another_activation_keeps_it(tmp_path: Path) -> None:
-    settings = {"net_arch": [16], "activation_fn": torch.nn.Tanh}
-    model = sb3.DQN("MlpPolicy", Blank(), buffer_size=10, policy_kwargs=settings, seed=3)
-    model.save(tmp_path / "model.zip")
-    made = export_zip(tmp_path / "model.zip", tmp_path / "out.onnx", FACTS)
-    assert_acts_alike(model, tmp_path / "out.onnx", most=9.0)
-    assert made["activation"] == "Tanh"
 
 
 def test_an_activation_that_cannot_be_exported_is_named(tmp_path: Path) -> None:

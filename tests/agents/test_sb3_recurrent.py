@@ -2,8 +2,6 @@
 
 # ruff: noqa: E402  (nothing below can be imported without the extra 'train')
 
-import io
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -14,28 +12,13 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
 
-import gymnasium
 from charms_agents.training.sb3_export import export_zip
 from command_line import charms_bench
 from handmade_weights import dqn_weights, ppo_weights, recurrent_weights
+from made_checkpoints import Blank, zipped
 
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-
-
-class Blank(gymnasium.Env[Any, Any]):
-    """Spaces without anything in them."""
-
-    observation_space = gymnasium.spaces.Box(-1.0, 1.0, (7, 5), np.float32)
-    action_space = gymnasium.spaces.Discrete(5)
-
-
-def zipped(folder: Path, tensors: dict[str, Any]) -> Path:
-    buffer = io.BytesIO()
-    torch.save(tensors, buffer)
-    with zipfile.ZipFile(folder / "made.zip", "w") as archive:
-        archive.writestr("policy.pth", buffer.getvalue())
-    return folder / "made.zip"
 
 
 def lstm(layers: int) -> Any:
