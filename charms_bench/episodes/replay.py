@@ -257,8 +257,9 @@ def _by_vehicle(arrays: dict[str, Any]) -> dict[str, Any]:
 def _agents(simulation: Simulation, drivers: Ints) -> tuple[str, ...]:
     """The names of the agents of some vehicles, given by their indices [T + 1, N], at the end."""
     names = [simulation.agents[k] for k in drivers[-1]]
-    is_road = simulation.settings.network is not None
-    return tuple("IDM of highway-env" if is_road and name == PRESCRIBED else name for name in names)
+    if simulation.settings.network is None or simulation.settings.scenario is not None:
+        return tuple(names)
+    return tuple("IDM of highway-env" if name == PRESCRIBED else name for name in names)
 
 
 class _Plans:

@@ -57,4 +57,6 @@ class TrafficOnWays:
     def drivers(self) -> pl.DataFrame:
         """The rows of the traffic's drivers (`columns.DRIVER`)."""
         rows = self._sums.table().filter(~pl.col("is_ego"))
+        if self._simulation.settings.scenario is not None:
+            return rows
         return rows.with_columns(pl.col("agent").replace(PRESCRIBED, ENVIRONMENT))

@@ -58,11 +58,13 @@ from charms_bench.roads.scenes import (
     Scenes,
     here_of,
     lane_of,
+    list_all_by_place,
+    tidy_all,
     vehicle_of,
 )
 from charms_bench.roads.scripts import RoadScript
 from charms_bench.roads.settings import ONLY_EGOS, profiles_of, room_on
-from charms_bench.roads.sizes import set_types, tidy
+from charms_bench.roads.sizes import set_types
 from charms_bench.roads.stepping import collide, move_all
 from charms_bench.roads.straightened import BEHIND, Ways, find_way, straighten
 from charms_bench.roads.views import RoadViews
@@ -217,7 +219,7 @@ class RoadEngine(Shown):
         episodes.start(rows)
         if self._script is not None:
             self._script.place_on(episodes.scenes, rows, seeds)
-            tidy(episodes.scenes, rows)
+            tidy_all(episodes.scenes, rows)
         self._seat_ego(rows)
         self._seed(rows, seeds)
         if self._inflow:
@@ -362,8 +364,7 @@ class RoadEngine(Shown):
             some, places = np.nonzero(has_entered)
             numbers = self.moments.numbers_of(seeds)[some]
             self.episodes.task.enter(scenes, (rows[some], places), numbers)
-        in_order = np.argsort(vehicles["kind"][rows] == NOTHING, axis=1, kind="stable")
-        scenes.order["place"][rows] = in_order
+        list_all_by_place(scenes, rows)
         self._seat(rows)
         self._moved[rows] = True
         some, places = np.nonzero(has_left | has_entered)

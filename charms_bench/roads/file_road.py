@@ -51,8 +51,8 @@ from charms_bench.roads.scenes import (
     Scenes,
     here_of,
     index_of,
+    list_by_place,
     place_near,
-    tidy,
 )
 from charms_bench.roads.task import Task, draw_behaviour
 from charms_bench.world.named_road import DRAWN
@@ -455,7 +455,7 @@ def _start(
                 s = uniform(state, 0.0, road.lanes[lane].length)
                 if appear(scenes, here, b, (i, lane, s), IDM, -1, routes, inside):
                     break
-        tidy(scenes, b)
+        list_by_place(scenes, b)
 
 
 @compiled
@@ -508,7 +508,7 @@ def _follow(
                         happened[b, i] = ENTERED
                     break
         if has_changed:
-            tidy(scenes, b)
+            list_by_place(scenes, b)
 
 
 @compiled

@@ -18,8 +18,16 @@ from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.locating import as_followed, coordinates_of, forget
 from charms_bench.roads.order import neighbours
-from charms_bench.roads.scenes import IDM, NOTHING, OBSTACLE, Here, Scenes, here_of, place_near
-from charms_bench.roads.sizes import tidy
+from charms_bench.roads.scenes import (
+    IDM,
+    NOTHING,
+    OBSTACLE,
+    Here,
+    Scenes,
+    here_of,
+    place_near,
+    tidy_all,
+)
 from charms_bench.world.idm_mobil import equilibrium_gap
 from charms_bench.world.road import heading_at, position
 from charms_bench.world.scene import SceneSettings
@@ -109,7 +117,7 @@ class RoadInflow:
                 f"scene.inflow.capacity: an episode is full after {times_s[full]:.1f} s, with "
                 f"{there} vehicles; use a larger number"
             )
-        tidy(scenes, rows)
+        tidy_all(scenes, rows)
         return numbers
 
 

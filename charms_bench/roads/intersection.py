@@ -16,7 +16,7 @@ from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.locating import forget
 from charms_bench.roads.right_of_way import FREQUENCY_HZ
-from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, put_on_lane
+from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, put_on_lane, tidy
 from charms_bench.roads.stepping import advance
 from charms_bench.roads.task import Task, draw_behaviour, plan_route, share, weighted
 from charms_bench.world.lane_geometry import Pair
@@ -235,20 +235,6 @@ def enter(
     put_on_lane(scenes, b, i, IDM, lane, s, heading_at(scenes.road, lane, s), speed)
     plan_route(scenes, b, i, routes, destination)
     draw_behaviour(scenes, b, i)
-
-
-@compiled
-def tidy(scenes: Scenes, b: int) -> None:
-    """Puts the places with nothing to the end of the order of a scene."""
-    places, kept = scenes.vehicles.shape[1], 0
-    before = np.empty(places, dtype=np.int64)
-    for k in range(places):
-        before[k] = scenes.order[b, k].place
-    for is_nothing in (False, True):
-        for i in before:
-            if (scenes.vehicles[b, i].kind == NOTHING) == is_nothing:
-                scenes.order[b, kept].place = i
-                kept += 1
 
 
 @compiled_of_scenes

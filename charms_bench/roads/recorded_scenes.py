@@ -25,7 +25,7 @@ from charms_bench.roads.layout import Layout
 from charms_bench.roads.locating import forget
 from charms_bench.roads.map_lanes import driven_lanes, map_of
 from charms_bench.roads.routes import Routes, plan_way
-from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, place, tidy
+from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, list_by_place, place
 from charms_bench.roads.task import draw_behaviour
 from charms_bench.world.moments import Moments, Tracks
 from charms_bench.world.named_road import PLANNING_PROBLEM, hash_of
@@ -319,7 +319,7 @@ def _put(
             vehicle.x, vehicle.y, vehicle.heading = tracks.x[k], tracks.y[k], tracks.heading[k]
             vehicle.speed, vehicle.target_speed = tracks.speed[k], tracks.fastest[v]
             complete(scenes, b, i, m, tracks, vehicles, goals, routes)
-        tidy(scenes, b)
+        list_by_place(scenes, b)
 
 
 @compiled_of_scenes

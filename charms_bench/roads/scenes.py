@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.foundation.compiled import Unpacked, compiled, inlined, row_after, woven
+from charms_bench.foundation.compiled import (
+    Unpacked,
+    compiled,
+    compiled_of_scenes,
+    inlined,
+    row_after,
+    woven,
+)
 from charms_bench.foundation.generator import State
 from charms_bench.roads.nearby import map_of
 from charms_bench.world.profile import Constants, IdmMobilParameters
@@ -482,11 +489,36 @@ def put_on_lane(
 
 
 @compiled
+def list_by_place(scenes: Scenes, b: int) -> None:
+    """Lists what is in a scene by its places, and then the places with nothing."""
+    for i in range(scenes.vehicles.shape[1]):
+        scenes.order[b, i].place = i
+    tidy(scenes, b)
+
+
+@compiled
 def tidy(scenes: Scenes, b: int) -> None:
     """Puts the places with nothing to the end of the order of a scene."""
     places, kept = scenes.vehicles.shape[1], 0
+    before = np.empty(places, dtype=np.int64)
+    for k in range(places):
+        before[k] = scenes.order[b, k].place
     for is_nothing in (False, True):
-        for i in range(places):
+        for i in before:
             if (scenes.vehicles[b, i].kind == NOTHING) == is_nothing:
                 scenes.order[b, kept].place = i
                 kept += 1
+
+
+@compiled_of_scenes
+def tidy_all(scenes: Scenes, rows: Ints) -> None:
+    """Puts the places with nothing to the end of the order of the scenes `rows` (R,)."""
+    for b in rows:
+        tidy(scenes, b)
+
+
+@compiled_of_scenes
+def list_all_by_place(scenes: Scenes, rows: Ints) -> None:
+    """Lists what is in the scenes `rows` (R,) by its places; see `list_by_place`."""
+    for b in rows:
+        list_by_place(scenes, b)

@@ -147,6 +147,9 @@ def refuse_of_straight_roads(road: NamedRoad, given: Collection[str]) -> None:
         if field in given:
             own = [key for key in keys if key in DEFAULTS.get(road.environment, {})]
             instead = f", or give the road configuration.{own[0]} instead" if own else ""
+            if field == "recording":
+                instead = ". Recorded vehicles drive on the lanes where they were recorded: give "
+                instead += "{file: scene.xml, configuration: {start: recorded}} as the road"
             raise InputError(
                 f"the road '{road}' has its own lanes and vehicles; remove scene.{field}{instead}"
             )

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.type_draws import draw_vehicles
 from charms_bench.foundation.arrays import Bools, Ints
 from charms_bench.roads.room import take_out_crowded
-from charms_bench.roads.scenes import ANY_SPEED_MPS, NOTHING, OBSTACLE, Scenes
+from charms_bench.roads.scenes import ANY_SPEED_MPS, OBSTACLE, Scenes, tidy_all
 from charms_bench.world.scene import SceneSettings
 
 
@@ -46,12 +46,4 @@ def set_types(
     ):
         table[name][rows] = np.where(where, values, table[name][rows])
     take_out_crowded(scenes, rows, is_new & ~is_ego)
-    tidy(scenes, rows)
-
-
-def tidy(scenes: Scenes, rows: Ints) -> None:
-    """Puts the places with nothing to the end of the order of the scenes `rows`."""
-    order = scenes.order["place"][rows]
-    kinds = np.take_along_axis(scenes.vehicles["kind"][rows], order, axis=1)
-    kept = np.argsort(kinds == NOTHING, axis=1, kind="stable")
-    scenes.order["place"][rows] = np.take_along_axis(order, kept, axis=1)
+    tidy_all(scenes, rows)

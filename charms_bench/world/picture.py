@@ -26,6 +26,8 @@ HEADER, SHOULDER_M, MARKS, STATUS = 76, 1.0, 40, 92
 LINE, MARGIN, LEGEND_COLUMNS = 44, 32, 3
 BRAKE_LIGHT_MPS2 = 0.5
 """Deceleration above which the brake lights are on."""
+SMALLEST = 16
+"""The size of the smallest letters, before the reduction."""
 TTC_SHOWN_S = 100.0
 """A time to collision from here on is not shown."""
 
@@ -100,7 +102,8 @@ def picture(moment: Moment, caption: str = "") -> Image.Image:
     _draw_header(draw, moment)
     _draw_status(draw, moment, status)
     sentence = caption[:1].upper() + caption[1:]
-    draw.text((MARGIN, caption_at + 22), sentence, INK, _font(26, "-Bold"), "lm")
+    font = _fitting(sentence, WIDTH - 2 * MARGIN, 26, "-Bold")
+    draw.text((MARGIN, caption_at + 22), sentence, INK, font, "lm")
     driver = moment.agents[moment.ego]
     entries = [(f"ego, {driver}" if driver else "ego", EGO), *colours.items()]
     for k, (name, colour) in enumerate(entries):
@@ -115,6 +118,12 @@ def picture(moment: Moment, caption: str = "") -> Image.Image:
 def _font(size: int, weight: str = "") -> ImageFont.FreeTypeFont:
     path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"DejaVuSans{weight}.ttf"
     return ImageFont.truetype(path, size)
+
+
+def _fitting(text: str, width: float, size: int, weight: str = "") -> ImageFont.FreeTypeFont:
+    """The font of a size, or a smaller one in which the text is no wider than a width."""
+    needed = _font(size, weight).getlength(text)
+    return _font(size if needed <= width else max(SMALLEST, int(size * width / needed)), weight)
 
 
 def _place(moment: Moment, x: Floats, y: Floats) -> list[float]:
@@ -205,17 +214,20 @@ def _draw_vehicle(draw: ImageDraw.ImageDraw, moment: Moment, vehicle: int, colou
         draw.line(shape((-1.1, 1.3), (1.1, -1.3)), WRECK, 6)
     label = "ego" if vehicle == moment.ego else str(vehicle)
     middle_x, middle_y = shape((0.0, 0.0))
-    draw.text((middle_x, middle_y), label, PAPER, _font(21, "-Bold"), "mm")
+    extent = np.abs(ahead[0]) * 2 * half_length + np.abs(aside[0]) * 2 * half_width
+    font = _fitting(label, float(extent) * _scale(moment), 21, "-Bold")
+    draw.text((middle_x, middle_y), label, PAPER, font, "mm")
 
 
 def _draw_header(draw: ImageDraw.ImageDraw, moment: Moment) -> None:
-    title, font = moment.title, _font(30, "-Bold")
-    draw.text((MARGIN, HEADER / 2), title, INK, font, "lm")
-    end = MARGIN + font.getlength(title)
-    if moment.episode is not None:
-        draw.text((end + 24, HEADER / 2 + 2), f"episode {moment.episode}", PALE, _font(26), "lm")
-    time = f"{moment.t_s:.1f} s"
-    draw.text((WIDTH - MARGIN, HEADER / 2), time, INK, _font(34, "-Bold"), "rm")
+    episode = "" if moment.episode is None else f"episode {moment.episode}"
+    time, large, small = f"{moment.t_s:.1f} s", _font(34, "-Bold"), _font(26)
+    room = WIDTH - 2 * MARGIN - 72 - small.getlength(episode) - large.getlength(time)
+    font = _fitting(moment.title, room, 30, "-Bold")
+    draw.text((MARGIN, HEADER / 2), moment.title, INK, font, "lm")
+    end = MARGIN + font.getlength(moment.title)
+    draw.text((end + 24, HEADER / 2 + 2), episode, PALE, small, "lm")
+    draw.text((WIDTH - MARGIN, HEADER / 2), time, INK, large, "rm")
 
 
 def status_of(moment: Moment) -> dict[str, str]:

@@ -317,6 +317,22 @@ def test_a_search_without_failures_writes_no_suite(tmp_path: Path) -> None:
     assert not (tmp_path / "search" / "found.yaml").exists()
 
 
+def test_a_search_simulates_no_more_points_at_first_than_its_budget(tmp_path: Path) -> None:
+    text = SUITE.replace("gap: [5, 70]", "gap: [300, 400]")
+    suite, folder = written(tmp_path, text), tmp_path / "search"
+    assert charms_bench.search(suite, "Level 0", output=folder, budget=5).simulations == 5
+
+
+def test_a_scenario_on_a_road_is_searched_and_its_failures_run_there(tmp_path: Path) -> None:
+    found = tmp_path / "search" / "found.yaml"
+    suite = written(tmp_path, SUITE.replace("egos:", "roads: [merge-v1]\negos:"))
+    made = charms_bench.search(suite, "Level 0", "Braking", found.parent, failures=2, budget=200)
+    assert made.cell.title == "Level 0 in merge-v1, Braking"
+    again = charms_bench.run(found, tmp_path / "again", workers=1)
+    cells = {cell.agent: crashed(cell).tolist() for cell in again.cells}
+    assert cells == {"Level 0": [True] * 2, "Careful": [False] * 2}
+
+
 def test_an_agent_beside_the_egos_is_searched_and_shown(tmp_path: Path) -> None:
     suite, folder = written(tmp_path), tmp_path / "found"
     words = ("--agent", "level_0", "--traffic", "Braking", "--failures", 2, "--output", folder)

@@ -49,7 +49,7 @@ def draw(road: RoadMap) -> Figure:
         axes.add_collection(
             LineCollection(bridges, colors=SERIES[3], label=f"gap bridged ({len(road.gaps):,})")
         )
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", adjustable="datalim")  # so that a straight road has room for text
     axes.autoscale_view()
     axes.set_xlabel("x of the map, m")
     axes.set_ylabel("y of the map, m")
