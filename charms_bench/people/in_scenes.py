@@ -16,7 +16,7 @@ from charms_bench.engine.endings import RUNNING, TIME
 from charms_bench.engine.simulation import Simulation
 from charms_bench.people.behind import FEWEST_DRIVERS, REPETITIONS
 from charms_bench.people.driven import Driven
-from charms_bench.people.likeness import Yardstick
+from charms_bench.people.likeness import Score, Yardstick
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.roads.engine import RoadEngine
@@ -58,11 +58,14 @@ def drive_in_scene(
 ) -> Floats:
     """(S, M, T, 6) x, y, speed as it stands after a collision, speed, gap and the leader's speed.
 
-    An ego's agent is in the places of the S recorded egos of a scene, M times, at 1 Hz, and does
-    not stop at its goal.
+    An ego's agent is in the places of the S recorded egos of a scene, M times, at 1 Hz. Neither its
+    goal nor leaving its lane is the end.
     """
-    assert settings.network is not None
-    egos = len(moments_on(settings.network))
+    network = settings.network
+    assert network is not None
+    profile = settings.profile.model_copy(update={"offroad_terminal": False})
+    settings = settings.model_copy(update={"profile": profile})
+    egos = len(moments_on(network))
     count, seconds = egos * repetitions, int(settings.duration_s + 1e-3)
     simulation = Simulation(settings, count, ego, traffic, agents, RoadEngine)
     simulation.reset(np.arange(count, dtype=np.uint64))
@@ -117,6 +120,13 @@ class SceneYardstick(Yardstick):
             human, constant, constant, human, np.sqrt(np.stack([place, place, speed], axis=-1))
         )
 
+    def scores(self, tested: Driven) -> dict[str, Score]:
+        """As for a `Yardstick`, without what the scenes are too few or too short for."""
+        return _computed(super().scores(tested))
+
+    def ceiling(self) -> dict[str, Score]:
+        return _computed({"closed_loop": Score(1.0, 1.0, 1.0), **super().ceiling()})
+
     def _unseen(self, driven: Driven) -> Driven:
         return driven
 
@@ -130,6 +140,10 @@ class SceneYardstick(Yardstick):
             )
             found[:, k] = np.bincount(self._number[lasts], scores, self._drivers)
         return found
+
+
+def _computed(scores: dict[str, Score]) -> dict[str, Score]:
+    return {name: each for name, each in scores.items() if np.isfinite(each.low)}
 
 
 def _reached(driven: Driven) -> Floats:

@@ -287,7 +287,8 @@ def _apart(of_human: Sequence[Floats], of_tested: Sequence[Floats]) -> Floats:
         weights = np.where(seconds >= SMALLEST_STRATUM_S, seconds, 0.0)
         p, q = p / np.maximum(seconds, 1)[..., None], q / np.maximum(visits, 1)[..., None]
         apart = np.where(visits > 0, np.abs(p - q).sum(axis=-1) / 2, 1.0)
-        distances.append((apart * weights).sum(axis=-1) / weights.sum(axis=-1))
+        with np.errstate(invalid="ignore"):  # not a number if no stratum is large enough
+            distances.append((apart * weights).sum(axis=-1) / weights.sum(axis=-1))
     return np.asarray(np.mean(distances, axis=0))
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from charms_bench.foundation.words import counted
-from charms_bench.people.likeness import COMPONENTS, Score
+from charms_bench.people.likeness import COMPONENTS, SMALLEST_STRATUM_S, Score
 from charms_bench.report.table import Table
 from charms_bench.runs.likeness import RECORDED_DRIVER, InScenes, Likeness
 
@@ -53,6 +53,11 @@ def basis_of(found: InScenes) -> str:
         "Not computed, because scenes are too short: gap and speed after 10, 20 and 30 s; lane "
         "changes, undone lane changes and collisions per km."
     )
+    if "given_scene" not in found.yardstick.ceiling():
+        text += (
+            f"\ngiven scene and total: not computed, because no stratum of speed, time gap and "
+            f"closing speed has {SMALLEST_STRATUM_S} s in each half of the scenes."
+        )
     return "\n".join([text, *(f"Left out: {each}" for each in found.left_out)])
 
 

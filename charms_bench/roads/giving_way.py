@@ -93,11 +93,15 @@ class Ahead(NamedTuple):
 def meetings_of(road: RoadMap, indices: dict[str, int]) -> Meetings:
     """Where the lanes of a map meet, by the indices of the lanes."""
     lanes = {lane.id: lane for lane in road.lanes}
+    lines = _with_parts_before(road)
     found: list[list[tuple[float, ...]]] = [[] for _ in indices]
     for each in road.conflicts:
         one, other = (lanes[name] for name in each.lanes)
         is_end = each.kind == "merging"
-        parts = [_part(one, other, each.at[0], is_end), _part(other, one, each.at[1], is_end)]
+        both = [
+            (lines[name], lane.length) for name, lane in zip(each.lanes, (one, other), strict=True)
+        ]
+        parts = [_part(*both[k], both[1 - k][0], each.at[k], is_end) for k in (0, 1)]
         for k in (0, 1):
             own, across = each.lanes[k], each.lanes[1 - k]
             order = UNKNOWN
@@ -119,15 +123,38 @@ def meetings_of(road: RoadMap, indices: dict[str, int]) -> Meetings:
     )
 
 
-def _part(lane: MapLane, other: MapLane, at: float, is_end: bool) -> tuple[float, float]:
-    """Where a lane is close to another one around a place, with room for half a vehicle, m."""
-    along = lengths_of(lane.points)
-    s = np.arange(max(at - REACH_M, 0.0), min(at + REACH_M, along[-1]) + STEP_M, STEP_M)
+def _with_parts_before(road: RoadMap) -> dict[str, Floats]:
+    """The points (N, 2) of each lane, behind those of the lane that alone leads there in the same
+    junction: a vehicle that waits there can be in the way, too."""
+    junctions = {lane.id: each.junction for each in road.roads for lane in each.lanes}
+    before: dict[str, list[MapLane]] = {}
+    for lane in road.lanes:
+        for after in lane.successors:
+            before.setdefault(after, []).append(lane)
+    found = {}
+    for lane in road.lanes:
+        found[lane.id] = lane.points[:, :2]
+        several = before.get(lane.id, [])
+        if len(several) == 1 and junctions[lane.id] == junctions[several[0].id] != "":
+            found[lane.id] = np.vstack([several[0].points[:-1, :2], lane.points[:, :2]])
+    return found
+
+
+def _part(
+    line: Floats, length: float, other: Floats, at: float, is_end: bool
+) -> tuple[float, float]:
+    """Where a lane is close to another one around a place, with room for half a vehicle, m.
+
+    The lane is the end of its line (N, 2); a place before it is negative.
+    """
+    along = lengths_of(line)
+    along -= along[-1] - length
+    s = np.arange(max(at - REACH_M, along[0]), min(at + REACH_M, length) + STEP_M, STEP_M)
     s = np.minimum(s, along[-1])
-    x, y = (np.interp(s, along, column) for column in lane.points.T[:2])
-    theirs = lengths_of(other.points)
+    x, y = (np.interp(s, along, column) for column in line.T)
+    theirs = lengths_of(other)
     there = np.arange(0.0, theirs[-1] + STEP_M, STEP_M)
-    other_x, other_y = (np.interp(there, theirs, column) for column in other.points.T[:2])
+    other_x, other_y = (np.interp(there, theirs, column) for column in other.T)
     away = np.hypot(x[:, None] - other_x, y[:, None] - other_y).min(axis=1)
     first = last = int(np.abs(s - at).argmin())
     while first > 0 and away[first - 1] < CLOSE_M:

@@ -248,10 +248,10 @@ def drive_scenes(
 
 def likeness_in_scenes(found: InScenes) -> Iterator[Likeness]:
     """The scores of the ceiling, the floor and each ego."""
-    ceiling = {"closed_loop": Score(1.0, 1.0, 1.0), **found.yardstick.ceiling()}
+    yardstick = found.yardstick
     for (kind, label), driven in found.driven.items():
         is_ceiling = (kind, label) == RECORDED_DRIVER
-        scores = ceiling if is_ceiling else found.yardstick.scores(driven)
+        scores = yardstick.ceiling() if is_ceiling else yardstick.scores(driven)
         yield Likeness(kind, label, scores, conduct(driven))
 
 

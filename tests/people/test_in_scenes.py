@@ -52,6 +52,15 @@ def test_only_horizons_that_scenes_reach_are_compared(yardstick: SceneYardstick)
     assert SceneYardstick(driven(0.5, 5), driven(0.0, 5)).horizons_s == (1, 2, 4)
 
 
+def test_what_scenes_are_too_short_for_is_not_scored() -> None:
+    short = [scene(3, gain, seed)[:1] for gain in (0.5, 0.0) for seed in range(12)]
+    human, constant = in_scenes(short[:12]), in_scenes(short[12:])
+    found = SceneYardstick(human, constant)
+    # Of 12 drivers for 3 s, no stratum has 30 s in each half.
+    assert found.scores(constant).keys() == {"closed_loop", "events"}
+    assert found.ceiling().keys() == {"closed_loop", "events"}
+
+
 def test_seconds_after_the_end_of_a_scene_do_not_count() -> None:
     short = in_scenes([scene(seconds, 0.5, seconds) for seconds in (3, 9)])
     assert conduct(short)["seconds"] == EGOS * (3 + 9)
