@@ -261,7 +261,7 @@ class Suite(FrozenModel):
             )
         return self
 
-    @cached_property
+    @property
     def surroundings(self) -> tuple[Surroundings, ...]:
         """Every road with every traffic model."""
         return tuple(starmap(Surroundings, product(self.roads or (None,), self.traffics)))
