@@ -265,7 +265,10 @@ def likeness(
             found = drive_scenes(read, files, note)
             rows, basis = [*likeness_in_scenes(found)], basis_of(found)
         elif population is None:
-            raise InputError("--population: missing; expected i24, i75 or a file of `calibrate`")
+            raise InputError(
+                f"{recordings}: no CommonRoad scenario is there, and other recordings need "
+                "--population: i24, i75 or a file of `calibrate`"
+            )
         else:
             against = standard(read, absolute(recordings), read_population(population), half)
             for each in scored(read, against):

@@ -225,7 +225,7 @@ def options(
         False, ANYWHERE[1], help="Print where in the code an error was raised."
     ),
 ) -> None:
-    """Benchmark driving behaviour on highway-env's motorway."""
+    """Benchmark driving behaviour on highway-env's roads and on road maps."""
     QUIET.set(quiet)
     VERBOSE.set(verbose)
 

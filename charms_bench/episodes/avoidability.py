@@ -159,6 +159,7 @@ class _Chunk:
 
     def __init__(self, cell: RecordedCell, episodes: Sequence[int], budget: int) -> None:
         self._budget, scene = budget, cell.cell.scene
+        cell.check_one_ego()
         self._replays = replay(cell, episodes)
         for each in self._replays:
             if each.ending not in ("rear_end", "side"):

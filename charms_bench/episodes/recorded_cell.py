@@ -96,11 +96,8 @@ class RecordedCell:
         Raises:
             InputError: A guest cannot drive on the road of the cell, or instead of one of its egos.
         """
-        if (guests or is_ego_outside) and self.egos > 1:
-            raise InputError(
-                f"{self.cell.title}: several egos drive in its episodes; expected a road with one "
-                "ego where another agent takes over"
-            )
+        if guests or is_ego_outside:
+            self.check_one_ego()
         cell, networks, traffic = self.cell, self.networks, self.cell.traffic.traffic.make()
         agents = {driver.key: driver.make(networks) for driver in self.drivers}
         if guests or is_ego_outside:
@@ -122,6 +119,14 @@ class RecordedCell:
         )
         simulation.engine.ego_index = self.ego_index
         return simulation
+
+    def check_one_ego(self) -> None:
+        """Raises an `InputError` if several egos drive in its episodes."""
+        if self.egos > 1:
+            raise InputError(
+                f"{self.cell.title}: several egos drive in its episodes; expected a road with one "
+                "ego where another agent takes over"
+            )
 
     def steps(self, episodes: Sequence[int]) -> pl.DataFrame:
         """The step rows of these episodes in the run folder; raises a `RunFolderError`."""

@@ -239,7 +239,8 @@ def drive_scenes(
     if count < FEWEST_DRIVERS:
         raise DataError(
             f"egos can drive in {count} of {counted(len(files), 'CommonRoad scenario')}; expected "
-            f"{FEWEST_DRIVERS} or more, of which halves are compared; {'; '.join(left_out[:1])}"
+            f"{FEWEST_DRIVERS} or more, of which halves are compared"
+            + "".join(f"; {each}" for each in left_out[:1])
         )
     driven = {key: in_scenes(each) for key, each in parts.items()}
     yardstick = SceneYardstick(driven[RECORDED_DRIVER], driven[CONSTANT_SPEED])

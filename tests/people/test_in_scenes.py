@@ -78,7 +78,7 @@ def test_a_folder_with_recordings_has_no_scenes(tmp_path: Path) -> None:
 def test_recordings_need_a_population_and_scenes_have_none(tmp_path: Path) -> None:
     called = charms_bench("likeness", "likeness", tmp_path)
     assert called.returncode == 2
-    assert "--population: missing" in called.stderr
+    assert "need --population: i24" in called.stderr
     (tmp_path / "a.xml").touch()
     called = charms_bench("likeness", "likeness", tmp_path, "--population", "i24")
     assert called.returncode == 2
