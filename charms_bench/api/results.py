@@ -141,7 +141,7 @@ class Run:
             if not is_network(ego.agent.name):
                 continue
             if (path := self._finished.folder.network(ego.agent.name)) is not None:
-                policy = OnnxPolicy(path, ego.agent.decision_hz)
+                policy = OnnxPolicy(path, ego.agent.decision_hz, ego.agent.style)
                 assert isinstance(policy.observation, NamedObservation)
                 seen, _, _ = described(policy.observation).partition(": (")
                 last = policy.history_length

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.errors import InputError, ModelError
+from charms_bench.errors import InputError, ModelError, suggestion
 from charms_bench.foundation.files import json_of, read_limited
 from charms_bench.foundation.workers import is_child
 from charms_bench.plugins.agent import Policy
@@ -21,6 +21,7 @@ from charms_bench.plugins.onnx_ports import (
     MASK_INPUT,
     MEMORY_LIMIT,
     NOISE_INPUT,
+    STYLE_INPUT,
     Port,
     Roles,
     Signature,
@@ -57,7 +58,7 @@ from charms_bench.world.observations import (
 from charms_bench.world.scene import Floats, Observations
 
 SIZE_LIMIT_BYTES = 64 * 2**20
-KEYS = ("observation", "actions", "decision_hz", "target_speed_steps_mps", "history")
+KEYS = ("observation", "actions", "decision_hz", "target_speed_steps_mps", "history", "styles")
 """The keys of the metadata that decide how a network is asked."""
 _FACTS = ("activation", "stage", "style", "source", "source_sha256", "trained_in")
 """Those that the pipelines of this project also write."""
@@ -88,15 +89,18 @@ class OnnxPolicy(Policy):
     the input is `(batch, K, rows, columns)` or `(batch, K * rows * columns)`, the newest last.
     `target_speed_steps_mps`, a JSON list, is short for `with_speed_steps` of these steps.
 
-    Further inputs receive action masks and noise, or are states; see `onnx_ports`.
+    Further inputs receive action masks, noise and the style, or are states; see `onnx_ports`. The
+    styles are a JSON object in the metadata `styles`: the numbers of each, by its name.
 
     Args:
         path: The `.onnx` file.
         decision_hz: Decisions per second; by default the rate in the file's metadata, or 3.
+        style: The style in which it drives; by default, the first in the file.
 
     Raises:
         ModelError: The file is missing, too large or broken, its inputs or outputs have other
-            shapes, it has operators that are not arithmetic, or it takes too long.
+            shapes, it has operators that are not arithmetic, it takes too long, or does not have
+            the style.
     """
 
     is_assumed: bool
@@ -104,14 +108,16 @@ class OnnxPolicy(Policy):
     controls: list[int]
     """The columns of continuous actions that are its outputs."""
 
-    def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
+    def __init__(
+        self, path: str | Path, decision_hz: float | None = None, style: str | None = None
+    ) -> None:
         self.path = Path(path)
         try:
-            self._open(decision_hz)
+            self._open(decision_hz, style)
         except ModelError as error:
             raise ModelError(f"{self.path}: {error}") from error
 
-    def _open(self, decision_hz: float | None) -> None:
+    def _open(self, decision_hz: float | None, style: str | None) -> None:
         """Reads what the file says of itself."""
         try:
             data = read_limited(self.path, SIZE_LIMIT_BYTES)
@@ -124,7 +130,6 @@ class OnnxPolicy(Policy):
             raise ModelError(f"cannot be read: {error.strerror}{remedy}") from error
         if problem := problem_of(data):
             raise ModelError(problem)
-        self._sha256 = sha256(data).hexdigest()
         self._data: bytes | None = data
         self._opened: Any = None
         found = signature_of(self._session) if is_child() else tried(data)
@@ -144,6 +149,9 @@ class OnnxPolicy(Policy):
         self.controls = own.controls if own else list(range(len(CONTROLS)))
         self._roles = _roles(found, shape, self.actions, len(self.controls))
         self.memory_width, self.noise_draws = self._roles.memory, self._roles.noise
+        self._style, numbers = _style(said.get("styles"), self._roles.style, style)
+        self._given = np.array([numbers], np.float32)
+        self._sha256 = sha256(data + self._given.tobytes()).hexdigest()
         if self._roles.mask:
             self.observation = _with_mask(self.observation, self.actions)
         if decision_hz is None:
@@ -218,13 +226,15 @@ class OnnxPolicy(Policy):
             inputs[MASK_INPUT] = masks_of(newest[:, ACTION_MASK], actions)
         if roles.noise:
             inputs[NOISE_INPUT] = np.minimum(noise.astype(np.float32), _BELOW_ONE)
+        if roles.style:
+            inputs[STYLE_INPUT] = np.repeat(self._given, len(seen), axis=0)
         try:
             return compute(self._session, roles, inputs, memory)
         except ModelError as error:
             raise ModelError(f"{self.path}: {error}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.path, self.decision_hz)
+        return type(self), (self.path, self.decision_hz, self._style)
 
 
 def _check_keys(said: Mapping[str, str]) -> None:
@@ -288,6 +298,34 @@ def _history(said: str) -> int:
     return int(said)
 
 
+def _style(said: str | None, width: int, style: str | None) -> tuple[str | None, list[float]]:
+    """The style in which a network drives, which is the first by default, and its numbers."""
+    if not width and said is None:
+        if style is None:
+            return None, []
+        raise ModelError(f"has no style '{style[:80]}': it drives in one style")
+    styles: Any = None
+    with suppress(ValueError):
+        styles = json_of((said or "").encode())
+    if not _are_styles(styles, width):
+        what = f"expected a JSON object with the {width} numbers of each style, by its name"
+        raise ModelError(f"metadata: styles is '{(said or '')[:80]}'; {what}")
+    name = next(iter(styles)) if style is None else style
+    if name not in styles:
+        raise ModelError(f"has no style '{name[:80]}'. {suggestion(name, styles)}")
+    return name, styles[name]
+
+
+def _are_styles(styles: Any, width: int) -> bool:
+    """Whether a value of JSON has styles of so many numbers, which float32 can hold."""
+    if not isinstance(styles, dict) or not styles:
+        return False
+    if not all(isinstance(each, list) and 0 < len(each) == width for each in styles.values()):
+        return False
+    numbers = [number for each in styles.values() for number in each]
+    return all(type(number) in (int, float) and abs(number) < 1e30 for number in numbers)
+
+
 def _roles(found: Signature, shape: tuple[int, ...], actions: ActionsLike, controls: int) -> Roles:
     """What the ports are for; refuses other shapes than these of an observation and the values."""
     is_meta = bool(meta_actions_of(actions))
@@ -309,9 +347,10 @@ def _roles(found: Signature, shape: tuple[int, ...], actions: ActionsLike, contr
     if len(found.inputs) + len(found.outputs) > 2:
         wanted += (
             f"; beside them, an input {MASK_INPUT} (batch, {masks}), an input {NOISE_INPUT} "
-            "(batch, draws), and for each state an input such as (batch, width) or (layers, batch, "
-            "width) and, in the same order, an output of the same shape; all float32, with at most "
-            f"{MEMORY_LIMIT:,} numbers of states and of draws"
+            f"(batch, draws), an input {STYLE_INPUT} (batch, numbers), and for each state an input "
+            "such as (batch, width) or (layers, batch, width) and, in the same order, an output of "
+            f"the same shape; all float32, with at most {MEMORY_LIMIT:,} numbers of states and of "
+            "draws"
         )
     has = f"inputs {_listed(found.inputs)}, outputs {_listed(found.outputs)}"
     raise ModelError(f"has {has}; expected {wanted}")

@@ -1,10 +1,11 @@
 """What the inputs and outputs of a network are for.
 
-An input named `action_mask` receives action masks, and an input named `noise` uniform random
-numbers. Of the other inputs, the first is the observation, and each further one is a state. Of the
-outputs, the first is the values, and the further ones are the next states, in the order of the
-inputs. A state has one free dimension, the vehicles: `(batch, width)`, or `(layers, batch, width)`
-as in the LSTM and GRU of ONNX and PyTorch.
+An input named `action_mask` receives action masks, an input named `noise` uniform random numbers,
+and an input named `style` the numbers of the style in which the network is to drive. Of the other
+inputs, the first is the observation, and each further one is a state. Of the outputs, the first is
+the values, and the further ones are the next states, in the order of the inputs. A state has one
+free dimension, the vehicles: `(batch, width)`, or `(layers, batch, width)` as in the LSTM and GRU
+of ONNX and PyTorch.
 """
 
 import math
@@ -24,13 +25,15 @@ Arrays = dict[str, NDArray[np.float32]]
 
 MASK_INPUT = "action_mask"
 NOISE_INPUT = "noise"
+STYLE_INPUT = "style"
 WIDEST = 100_000
 """Numbers in an observation, more than any observation has."""
 MEMORY_LIMIT = 4_096
 """Most numbers in a vehicle's memory, and most random numbers for a decision: 32 KiB."""
 _FLOAT = "tensor(float)"
+_NAMED = MASK_INPUT, NOISE_INPUT, STYLE_INPUT
 _NOTHING = (0,), 0
-"""The shape of one vehicle's mask or noise that is not there, and which dimension is vehicles."""
+"""The shape of a vehicle's part of an input that is not there, and which dimension is vehicles."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,8 @@ class Roles:
     """The number of meta-actions in the mask that it receives; 0 without a mask."""
     noise: int
     """The number of random numbers per vehicle."""
+    style: int
+    """The number of numbers of a style; 0 if the network is given none."""
     states: tuple[State, ...]
 
     @property
@@ -99,14 +104,11 @@ class Roles:
 
 def roles_of(found: Signature) -> Roles | None:
     """What the ports of a network are for; None if they have no such roles."""
-    named = {
-        port[0]: _of_one(port, axes=(0,))
-        for port in found.inputs
-        if port[0] in (MASK_INPUT, NOISE_INPUT)
-    }
+    named = {port[0]: _of_one(port, axes=(0,)) for port in found.inputs if port[0] in _NAMED}
     others = [port for port in found.inputs if port[0] not in named]
-    mask, noise = (named.get(name, _NOTHING) for name in (MASK_INPUT, NOISE_INPUT))
-    if mask is None or noise is None or len(mask[0]) != 1 or len(noise[0]) != 1:
+    of_named = [named.get(name, _NOTHING) for name in _NAMED]
+    mask, noise, style = (one[0][0] if one and len(one[0]) == 1 else -1 for one in of_named)
+    if min(mask, noise, style) < 0:
         return None
     if not len(others) == len(found.outputs) > 0:
         return None
@@ -120,7 +122,7 @@ def roles_of(found: Signature) -> Roles | None:
         if one is None or not _is_next(state, following):
             return None
         remembered.append(State(state[0], *one))
-    numbers = observed[0], valued[0], mask[0][0], noise[0][0]
+    numbers = observed[0], valued[0], mask, noise, style
     roles = Roles(seen[0], *numbers, tuple(remembered))
     return roles if max(roles.memory, roles.noise) <= MEMORY_LIMIT else None
 

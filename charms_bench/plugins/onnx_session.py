@@ -25,6 +25,7 @@ from charms_bench.foundation.workers import Died, ask
 from charms_bench.plugins.onnx_ports import (
     MASK_INPUT,
     NOISE_INPUT,
+    STYLE_INPUT,
     Arrays,
     Roles,
     Signature,
@@ -114,6 +115,8 @@ def _question(
         inputs[MASK_INPUT] = np.ones((rows, roles.mask), dtype=np.float32)
     if roles.noise:
         inputs[NOISE_INPUT] = rng.random((rows, roles.noise), np.float32) * min(scale, 1)
+    if roles.style:
+        inputs[STYLE_INPUT] = rng.random((rows, roles.style), np.float32)
     return inputs, rng.normal(scale=scale, size=(rows, roles.memory))
 
 

@@ -49,26 +49,29 @@ class _Spec(FrozenModel):
 
 
 class AgentSpec(_Spec):
-    """An agent by its name; a network may be given its decision rate."""
+    """An agent by its name; a network may be given its decision rate and style."""
 
     name: AgentName
     """The name of an installed agent, or the path of a network (`.onnx`)."""
     decision_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
     """By default, the rate in the network's file."""
+    style: Line | None = None
+    """The style of a network that is given one; by default, the first in its file."""
 
     @model_validator(mode="after")
     def _fits(self) -> "AgentSpec":
         if is_network(self.name):
             if self.options:
-                raise ValueError("options are for installed agents; a network has decision_hz")
-        elif self.decision_hz is not None:
-            raise ValueError("decision_hz is for networks given by path")
+                what = "a network has decision_hz and style"
+                raise ValueError(f"options are for installed agents; {what}")
+        elif self.decision_hz is not None or self.style is not None:
+            raise ValueError("decision_hz and style are for networks given by path")
         return self
 
     @property
     def key(self) -> str:
         """Identifies the agent: its name if it has nothing else, or all of this as JSON."""
-        if not self.options and self.decision_hz is None:
+        if not self.options and self.decision_hz is None and self.style is None:
             return self.name
         return json.dumps(self.model_dump(mode="json", exclude_defaults=True), sort_keys=True)
 
@@ -80,7 +83,7 @@ class AgentSpec(_Spec):
     def make(self, networks: Mapping[str, Path]) -> Agent:
         """The agent; `networks` has the file of each network, see `networks_of`."""
         if is_network(self.name):
-            return OnnxPolicy(networks[self.name], self.decision_hz)
+            return OnnxPolicy(networks[self.name], self.decision_hz, self.style)
         return make_agent(self.name, self.options)
 
 

@@ -14,6 +14,7 @@ Equations are numbered as in the paper; `rewards` has them as they are printed. 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -83,25 +84,39 @@ class Before(NamedTuple):
     target_lane: Ints
 
 
+class Style(NamedTuple):
+    """What an ego wants: the weights of safety, efficiency and comfort, and its orientation."""
+
+    weights: Weights
+    """a, b and c."""
+    angle_rad: float
+    """phi."""
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """cos phi, sin phi, a, b and c: what a network is given of its style."""
+        weights = self.weights.safety, self.weights.efficiency, self.weights.comfort
+        return math.cos(self.angle_rad), math.sin(self.angle_rad), *weights
+
+
 @dataclass(frozen=True)
 class CompletedReward:
     """R_2 = E (a r_s + b r_e + c r_c) / (a + b + c) + O r_o, eq. 8, with E = cos phi, O = sin phi.
 
     Args:
-        weights: a, b and c.
-        angle_rad: phi.
+        styles: S of them; scene b has the style b modulo S.
         scales: What the equations leave open.
     """
 
-    weights: Weights
-    angle_rad: float
+    styles: Sequence[Style]
     scales: RewardScales
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Before:
         """Observes the scenes before the egos' actions (B,) are carried out."""
         scene, egos = simulation.scene, simulation.ego_vehicles
+        others_count = any(math.sin(style.angle_rad) for style in self.styles)
         return Before(
-            affected(scene, bool(math.sin(self.angle_rad))),
+            affected(scene, others_count),
             scene.speed[egos],
             scene.acceleration[egos],
             scene.target_lane[egos],
@@ -109,23 +124,25 @@ class CompletedReward:
 
     def __call__(self, simulation: Simulation, prepared: Before) -> Floats:
         """The rewards (B,) of the decisions."""
-        scene, weights = simulation.scene, self.weights
+        scene = simulation.scene
+        of_styles, count = np.array([style.numbers for style in self.styles]), len(self.styles)
+        own_share, others_share, a, b, c = of_styles[np.arange(scene.ego.size) % count].T
         own = (
-            weights.safety * safety(scene, self.scales)
-            + weights.efficiency * self._efficiency(simulation)
-            + weights.comfort * self._comfort(simulation, prepared)
-        ) / weights.largest
+            a * safety(scene, self.scales)
+            + b * self._efficiency(simulation)
+            + c * self._comfort(simulation, prepared)
+        ) / (a + b + c)
         if self.scales.conflict_cost:
             own -= self.scales.conflict_cost * (1 - _safety(scene, CONFLICT_S, 0.0))
         own = np.where(simulation.failed, -self.scales.failure_cost, own)
         if self.scales.goal_reward:
             own = own + self.scales.goal_reward * (simulation.ending == GOAL)
-        rewards = math.cos(self.angle_rad) * own
-        if others_share := math.sin(self.angle_rad):
+        rewards = own_share * own
+        if others_share.any():
             gain = others(scene, prepared.affected, self.scales.others_gain_mps2)
             gain /= self.scales.others_acceleration_mps2
             rewards += others_share * np.where(simulation.failed, 0.0, gain)
-        return rewards
+        return np.asarray(rewards)
 
     def _efficiency(self, simulation: Simulation) -> Floats:
         """r_e (B,), at most 1."""

@@ -25,6 +25,7 @@ from charms_agents.training.network import (
     side_by_side,
     state_arrays,
     untrained,
+    widened,
 )
 from charms_agents.training.standardised import folded, standardise
 from charms_bench.world.actions import ACTIONS
@@ -47,6 +48,8 @@ class DoubleDQN:
         prior: Gives the logits of the actions that people take, from observations in the form that
             the network takes; it has as many layers. None leaves the policy to the values alone.
         actions: A, the number of the actions.
+        given: (B, G) what the network is given in each environment beside its observations, such
+            as the style in which it drives; by default, nothing.
     """
 
     def __init__(
@@ -57,13 +60,17 @@ class DoubleDQN:
         total: int,
         prior: Sequential | None = None,
         actions: int = len(ACTIONS),
+        given: NDArray[np.float32] | None = None,
     ) -> None:
-        self.h, self.total, self.prior, self._episodes = h, total, prior, episodes
-        self._actions = actions
+        self.h, self.total, self._episodes, self._actions = h, total, episodes, actions
+        given = np.zeros((h.scenes, 0), np.float32) if given is None else given
+        self._given = torch.from_numpy(given)
+        self.prior = None if prior is None else widened(prior, given.shape[1])
         self.observed = episodes.reset()
         """(B, rows, columns) the last observations."""
         self.rng = np.random.default_rng([seed, 2])
-        self.online = untrained(h.hidden_layers, seed, self.observed[0].size, actions)
+        inputs = self.observed[0].size + given.shape[1]
+        self.online = untrained(h.hidden_layers, seed, inputs, actions)
         self.target = deepcopy(self.online)
         self.optimizer = torch.optim.Adam(self.online.parameters(), fused=True)
         self.steps = self.gradient_steps = self.stored = 0
@@ -131,8 +138,8 @@ class DoubleDQN:
         rows = self.rng.integers(size, size=shape)
         envs = self.rng.integers(self.h.scenes, size=shape)
         returns, discounts, last = self.returns(rows, envs)
-        observations = self._seen(self.replay["observations"][rows, envs])
-        following = self._seen(self.replay["following"][last, envs])
+        observations = self._seen(self.replay["observations"][rows, envs], envs)
+        following = self._seen(self.replay["following"][last, envs], envs)
         actions = torch.from_numpy(self.replay["actions"][rows, envs])[..., None]
         rewards, factors = torch.from_numpy(returns), torch.from_numpy(discounts)
         parameters = list(self.online.parameters())
@@ -204,13 +211,13 @@ class DoubleDQN:
         return 1 - self.steps / self.total
 
     def values(self, observations: Observations) -> NDArray[np.float32]:
-        """The online network's values (M, A) of M observations."""
+        """The online network's values (B, A) of observations in all environments."""
         with torch.no_grad():
             values: NDArray[np.float32] = self.online(self._seen(observations)).numpy()
         return values
 
     def logits(self, observations: Observations) -> NDArray[np.float32]:
-        """The logits (M, A) of the policy that has a prior."""
+        """The logits (B, A) of the policy that has a prior."""
         assert self.prior is not None
         seen = self._seen(observations)
         with torch.no_grad():
@@ -219,19 +226,23 @@ class DoubleDQN:
 
     @property
     def network(self) -> Sequential:
-        """The online network, made to take plain observations.
+        """The online network, made to take plain observations, and then what it is given.
 
         With a prior, its outputs are the logits of the policy.
         """
         network = self.online
         if self.prior is not None:
             network = side_by_side(network, 1 / self.h.prior_weight, self.prior)
-        return folded(network) if self.h.standardised else network
+        return folded(network, self._given.shape[1]) if self.h.standardised else network
 
-    def _seen(self, observations: Observations) -> torch.Tensor:
-        """Observations (..., rows, columns) in the form that the networks take, flattened."""
+    def _seen(
+        self, observations: Observations, envs: NDArray[np.int64] | slice = slice(None)
+    ) -> torch.Tensor:
+        """What the networks take of observations (..., rows, columns) in environments (...)."""
         flat = torch.from_numpy(observations).flatten(-2)
-        return standardise(flat) if self.h.standardised else flat
+        seen = standardise(flat) if self.h.standardised else flat
+        given = self._given[envs]
+        return torch.cat([seen, given], dim=-1) if given.shape[-1] else seen
 
     @property
     def _networks(self) -> dict[str, Sequential]:

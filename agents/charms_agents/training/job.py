@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
@@ -16,7 +16,13 @@ from charms_agents.training.network import untrained
 from charms_agents.training.network_file import read_network
 from charms_agents.training.own_driving import EPISODES, EXPLORATION, own_driving
 from charms_agents.training.reinforcement import Reinforcement
-from charms_agents.training.settings import HumanStage, SimulatedDrivers, Stage, TrainingSuite
+from charms_agents.training.settings import (
+    HumanStage,
+    SimulatedDrivers,
+    Stage,
+    StageStyle,
+    TrainingSuite,
+)
 from charms_agents.training.standardised import folded
 from charms_agents.training.supervised import Fit
 from charms_bench.foundation.files import write_bytes
@@ -55,6 +61,8 @@ class Job:
     """The meta-actions with which the network has learnt."""
     draws: bool
     """Whether the network's values are logits, by which its actions are drawn."""
+    styles: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """What the network is given of each of its styles, if it drives in several."""
 
     @cached_property
     def key(self) -> str:
@@ -101,19 +109,18 @@ def reinforcement_job(
     `prior` is the network of the stage's prior, if it has one.
     """
     stage = suite.stages[name]
-    weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
+    styles = {key: _style_inputs(suite, each) for key, each in stage.all_styles.items()}
     # An option at the paper's value is left out, so that stages without it keep their keys.
     options = _conditions(suite, stage)
     if stage.reward is not None:
         options["reward"] = stage.reward.model_dump(mode="json", exclude_none=True)
     interface = suite.model_dump(include=INTERFACE, exclude_defaults=True)
-    angle = stage.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
     if prior is not None:
         options["prior_sha256"] = hashlib.sha256(prior.read_bytes()).hexdigest()
     inputs = {
         "stage": name,
         "steps": stage.steps,
-        "style": {"svo": stage.svo, "weights": weights, **angle},
+        "style": styles.get("", styles),
         "seed": suite.seed,
         "first_episode_seed": suite.first_episode_seed,
         "hyperparameters": suite.hyperparameters_of(stage).inputs,
@@ -124,11 +131,21 @@ def reinforcement_job(
         **interface,
         **options,
     }
-    style = f"{stage.weights}, {stage.svo}"
     make = partial(Reinforcement, suite, stage, drivers, prior)
-    known = (style, stage.steps, Policy.decision_hz, inputs, make)
+    known = (_style_text(stage), stage.steps, Policy.decision_hz, inputs, make)
     actions, draws = suite.actions_in(stage.scene), prior is not None
-    return Job(output, seed_folder, name, suite, *known, actions, draws)
+    given = suite.styles_of(stage)
+    return Job(output, seed_folder, name, suite, *known, actions, draws, given)
+
+
+def _style_inputs(suite: TrainingSuite, style: StageStyle) -> dict[str, Any]:
+    weights = {"name": style.weights, **suite.weights[style.weights].model_dump()}
+    angle = style.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
+    return {"svo": style.svo, "weights": weights, **angle}
+
+
+def _style_text(stage: Stage) -> str:
+    return f"{stage.weights}, {stage.svo}" if stage.svo else "as given"
 
 
 def _conditions(suite: TrainingSuite, stage: Stage | SimulatedDrivers) -> dict[str, Any]:
@@ -180,7 +197,7 @@ def human_job(
         sha256 = hashlib.sha256(start.read_bytes()).hexdigest()
         starts_from = {"stage": stage.fine_tunes, "weights_sha256": sha256}
         tuned = suite.stages[stage.fine_tunes]
-        style = f"{tuned.weights}, {tuned.svo}, fine-tuned on human driving"
+        style = f"{_style_text(tuned)}, fine-tuned on human driving"
         draws, scene = tuned.prior is not None, tuned.scene
         if settings.rehearsal:
             learnt["rehearsed"] = {

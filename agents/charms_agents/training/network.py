@@ -73,6 +73,12 @@ def side_by_side(network: Sequential, factor: float, other: Sequential) -> Seque
     return network_of(joined)
 
 
+def widened(network: Sequential, inputs: int) -> Sequential:
+    """The network with so many further inputs, which have no effect."""
+    (weight, bias), *others = layers_of(network)
+    return network_of([(np.pad(weight, ((0, 0), (0, inputs))), bias), *others])
+
+
 def layers_of(network: Sequential) -> Layers:
     """The linear layers of a network."""
     return [

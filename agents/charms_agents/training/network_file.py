@@ -4,9 +4,10 @@
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from charms_agents.training.onnx_input import Given, Graph, port
 from charms_bench.errors import ModelError
 from charms_bench.foundation.files import write_atomically, write_bytes
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.plugins.onnx_ports import MASK_INPUT, NOISE_INPUT
+from charms_bench.plugins.onnx_ports import MASK_INPUT, NOISE_INPUT, STYLE_INPUT
 from charms_bench.world.action_mask import masks_of
 from charms_bench.world.action_texts import metadata_of
 from charms_bench.world.actions import ActionsLike, meta_actions_of
@@ -107,6 +108,7 @@ def export(
     stochastic: bool = False,
     given: Given | None = None,
     actions: ActionsLike = "meta",
+    styles: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> dict[str, int]:
     """Writes a network as an ONNX file that `OnnxPolicy` runs.
 
@@ -124,6 +126,8 @@ def export(
             the network's values are the logits.
         given: What the network is given of the observations; by default, the observations.
         actions: What the network's outputs are the values of, or continuous actions.
+        styles: The last inputs of the network in each style in which it drives, if there are
+            several. Observation m is compared in the style m modulo their number.
 
     Returns:
         observations, the number compared; ties, the number in which the file chose a different
@@ -138,11 +142,17 @@ def export(
     facts = {"observation": described(observation), **facts}
     if history > 1:
         facts["history"] = str(history)
+    if styles:
+        facts["styles"] = json.dumps(dict(styles))
     shape = (*(history,) * (history > 1), *observation.shape)
-    data = _serialised(network, facts, shape, masked, lstm, stochastic, given, actions)
+    width = len(next(iter(styles.values()), ()))
+    data = _serialised(network, facts, shape, masked, lstm, stochastic, given, actions, width)
     if masked:
         seen = observations[..., : observation.shape[0], :]
     flat = torch.tensor(given.of(seen.reshape(len(seen), history, -1)))  # writable
+    if styles:
+        of_each = torch.tensor([*styles.values()])[torch.arange(len(flat)) % len(styles)]
+        flat = torch.cat([flat, of_each], dim=1)
     newest = observations if history == 1 else observations[:, -1]
     draws = layers_of(network)[-1][1].size * stochastic
     noise = np.random.default_rng(0).random((len(flat), draws), np.float32)
@@ -162,12 +172,15 @@ def export(
 
     def write(partial: Path) -> None:
         partial.write_bytes(data)
-        policy = OnnxPolicy(partial)
-        memory, actions = None, []
+        policies = [OnnxPolicy(partial, style=name) for name in styles or (None,)]
+        memory, actions, policy = None, [], policies[0]
         for part, draws in zip(np.split(observations, steps), np.split(noise, steps), strict=True):
             values, memory = policy.values_and_memory(part, memory, draws.astype(np.float64))
             actions.append(policy.actions_of(values))
         found = np.concatenate(actions)
+        for k, other in enumerate(policies[1:], 1):
+            rows = slice(k, None, len(policies))
+            found[rows] = other.decide(observations[rows], None, noise[rows].astype(np.float64))
         if continuous:
             lost = np.abs(found[:, policy.controls] - expected).max(axis=1)
             ties = lost > 0
@@ -202,12 +215,16 @@ def _serialised(
     stochastic: bool,
     given: Given,
     actions: ActionsLike,
+    style: int,
 ) -> bytes:
     after = [type(module) for module in network if type(module) in _STEPS]
     width, graph = layers_of(network)[-1][1].size, Graph()
     graph.inputs.append(port("observations", "batch", *shape))
     graph.outputs.append(port("values", "batch", width))
     last = given.add_to(graph, graph.add("Flatten", ["observations"], "flat", axis=1))
+    if style:
+        graph.inputs.append(port(STYLE_INPUT, "batch", style))
+        last = graph.add("Concat", [last, STYLE_INPUT], "in_style", axis=1)
     if lstm:
         graph.arrays["time"] = np.array([0])
         last = graph.add("Unsqueeze", [last, "time"], "sequence")

@@ -41,7 +41,7 @@ class Reinforcement:
         self.curve: list[Point] = []
         """The points so far, one every `curve_steps`."""
         self._ended: list[dict[str, Any]] = []
-        reward, h = stage.reward_of(suite.weights[stage.weights]), suite.hyperparameters_of(stage)
+        reward, h = stage.reward_of(suite.weights), suite.hyperparameters_of(stage)
         places, seed = suite.places_of(stage), suite.first_episode_seed
         count, apart = h.scenes // len(places), EPISODES_OF_A_SEED // len(places)
         seen = suite.observed, suite.actions
@@ -52,7 +52,9 @@ class Reinforcement:
             ]
         )
         logits = None if prior is None else unfolded(read_network(prior))
-        how = suite.seed, stage.steps, logits, len(suite.actions)
+        styles = np.array([*suite.styles_of(stage).values()], np.float32)
+        given = np.tile(styles, (h.scenes // max(len(styles), 1), 1)) if styles.size else None
+        how = suite.seed, stage.steps, logits, len(suite.actions), given
         self._agent = DoubleDQN(self._episodes, h, *how)
 
     @property

@@ -1,6 +1,7 @@
 """Training suites: which networks are trained, and how, from YAML."""
 
 import math
+from collections.abc import Mapping
 from graphlib import TopologicalSorter
 from typing import Annotated, Any, Literal
 
@@ -8,7 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from charms_agents.human.samples import Interface, SampleSettings
 from charms_agents.human.soft_labels import columns_of
-from charms_agents.training.completed_reward import CompletedReward, RewardScales
+from charms_agents.training.completed_reward import CompletedReward, RewardScales, Style
 from charms_agents.training.hyperparameters import Count, Hyperparameters, Supervised, Width
 from charms_agents.training.rewards import SVO_ANGLES_RAD, StyleReward, Svo, Weights
 from charms_bench.envs.learners import Reward
@@ -38,6 +39,7 @@ Names = Annotated[
 ]
 """Some names; a name alone is one of them."""
 Seed = Annotated[int, Field(ge=0, lt=2**23)]
+Angle = Annotated[float, Field(ge=-math.pi, le=math.pi)]
 
 
 class Condition(FrozenModel):
@@ -84,15 +86,31 @@ class Condition(FrozenModel):
         return found
 
 
+class StageStyle(FrozenModel):
+    """The style in which a network drives."""
+
+    weights: Name
+    """A name in the suite's `weights`."""
+    svo: Svo
+    svo_angle_rad: Angle | None = None
+    """phi of eq. 8; by default, the angle of `svo`."""
+
+    def made(self, weights: Mapping[str, Weights]) -> Style:
+        """The style with the suite's weights."""
+        angle = SVO_ANGLES_RAD[self.svo] if self.svo_angle_rad is None else self.svo_angle_rad
+        return Style(weights[self.weights], angle)
+
+
 class Stage(FrozenModel):
     """A network that learns by reinforcement: its style (weights and SVO), scene and traffic."""
 
     steps: Count
-    weights: Name
-    """A name in the suite's `weights`."""
-    svo: Svo
-    svo_angle_rad: Annotated[float, Field(ge=-math.pi, le=math.pi)] | None = None
-    """phi of eq. 8; by default, the angle of `svo`."""
+    weights: Name | None = None
+    svo: Svo | None = None
+    svo_angle_rad: Angle | None = None
+    styles: dict[Name, StageStyle] = Field(default={}, max_length=100)
+    """Instead of `weights` and `svo`, the styles of a network that is given the style in which it
+    drives."""
     scene: RecordedScene = SceneSettings()
     traffic: TrafficSpec
     """The traffic. A name means a stage of this file, or else an installed agent or traffic; a name
@@ -106,16 +124,29 @@ class Stage(FrozenModel):
     reward: RewardScales | None = None
     """What completes the paper's reward; without it, the reward is the paper's."""
 
-    def reward_of(self, weights: Weights) -> Reward[Any]:
-        """The reward of this stage with the weights that it names."""
-        if self.reward is None:
-            return StyleReward(weights, self.angle_rad)
-        return CompletedReward(weights, self.angle_rad, self.reward)
+    @model_validator(mode="after")
+    def _has_a_style(self) -> "Stage":
+        given = {name for name in ("weights", "svo") if getattr(self, name) is not None}
+        if given != (set() if self.styles else {"weights", "svo"}):
+            raise ValueError("expected weights and svo, or styles instead")
+        if self.styles and self.reward is None:
+            raise ValueError("the paper's reward is of one style; expected a reward beside styles")
+        return self
 
     @property
-    def angle_rad(self) -> float:
-        """phi of eq. 8."""
-        return SVO_ANGLES_RAD[self.svo] if self.svo_angle_rad is None else self.svo_angle_rad
+    def all_styles(self) -> Mapping[str, StageStyle]:
+        """The styles in which its network drives, by name; that of one style has no name."""
+        if self.weights is None or self.svo is None:
+            return self.styles
+        angle = self.svo_angle_rad
+        return {"": StageStyle(weights=self.weights, svo=self.svo, svo_angle_rad=angle)}
+
+    def reward_of(self, weights: Mapping[str, Weights]) -> Reward[Any]:
+        """The reward of this stage with the suite's weights."""
+        styles = [style.made(weights) for style in self.all_styles.values()]
+        if self.reward is None:
+            return StyleReward(*styles[0])
+        return CompletedReward(styles, self.reward)
 
 
 class HumanStage(FrozenModel):
@@ -256,6 +287,10 @@ class TrainingSuite(FrozenModel):
             f"seed-{seed}": self.model_copy(update={"seed": seed, "seeds": ()})
             for seed in self.seeds
         }
+
+    def styles_of(self, stage: Stage) -> dict[str, tuple[float, ...]]:
+        """What a network is given of each of its styles, if it drives in several."""
+        return {name: each.made(self.weights).numbers for name, each in stage.styles.items()}
 
     def hyperparameters_of(self, stage: Stage) -> Hyperparameters:
         """The hyperparameters of a stage."""

@@ -49,7 +49,13 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
     life.run()
     facts = {"stage": job.name, "style": job.style, "decision_hz": f"{job.decision_hz:g}"}
     given = network, facts, learner.observations, job.suite.observed
-    checked = export(learner.network, *given, stochastic=job.draws, actions=job.actions)
+    checked = export(
+        learner.network,
+        *given,
+        stochastic=job.draws,
+        actions=job.actions,
+        styles=job.styles,
+    )
     manifest = {
         **job.inputs,
         "key": job.key,

@@ -71,15 +71,19 @@ def standardise(observations: torch.Tensor) -> torch.Tensor:
     return observations * factors + offsets
 
 
-def folded(network: Sequential) -> Sequential:
-    """Turns a network for standardised observations into an equal one for plain observations."""
+def folded(network: Sequential, given: int = 0) -> Sequential:
+    """Turns a network for standardised observations into an equal one for plain observations.
+
+    The last `given` inputs of both are numbers of another kind.
+    """
     result = deepcopy(network)
     first = result[0]
     assert isinstance(first, Linear)
-    factors, offsets = _factors(first.in_features)
+    seen = first.in_features - given
+    factors, offsets = _factors(seen)
     with torch.no_grad():
-        first.bias.add_(first.weight @ offsets)
-        first.weight.mul_(factors)
+        first.bias.add_(first.weight[:, :seen] @ offsets)
+        first.weight[:, :seen].mul_(factors)
     return result
 
 

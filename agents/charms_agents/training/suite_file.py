@@ -49,6 +49,9 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         if h.scenes % (count := len(suite.conditions_of(stage))):
             what = f"scenes {h.scenes} is not a multiple of {count} conditions"
             raise document.error((*at, "conditions"), what)
+        if h.scenes // count % len(stage.all_styles):
+            what = f"{h.scenes // count} scenes a condition are not a multiple of them"
+            raise document.error((*at, "styles"), what)
         if stage.prior is not None:
             _check_prior(document, suite, name)
         slowest = stage.scene.profile.target_speed_min_mps
@@ -56,7 +59,9 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
             what = f"{stage.reward.desired_speed_mps:g}; expected more than {slowest:g} m/s"
             where = (*at, "reward", "desired_speed_mps")
             raise document.error(where, f"{what}, the lowest target speed of the profile")
-        _check_name(document, (*at, "weights"), "weights", stage.weights, suite.weights)
+        for label, style in stage.all_styles.items():
+            of_style: Location = (*at, *(("styles", label) if label else ()), "weights")
+            _check_name(document, of_style, "weights", style.weights, suite.weights)
         _check_conditions(document, suite, name, placed)
         try:
             for driver in suite.drivers_of(stage):

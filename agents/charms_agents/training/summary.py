@@ -84,7 +84,7 @@ def _row(job: Job) -> dict[str, Any]:
         return row | {"style": made["style"], **measured}
     last = made["curve"].get("last", {})
     return row | {
-        "style": f"{made['style']['weights']['name']}, {made['style']['svo']}",
+        "style": job.style,
         "steps": made["steps"],
         "steps_per_s": made["steps_per_s"],
         "return": last.get("return_mean"),
