@@ -16,6 +16,7 @@ Equations are numbered as in the paper; `rewards` has them as they are printed. 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -84,19 +85,10 @@ class Before(NamedTuple):
     target_lane: Ints
 
 
-class Style(NamedTuple):
-    """What an ego wants: the weights of safety, efficiency and comfort, and its orientation."""
-
-    weights: Weights
-    """a, b and c."""
-    angle_rad: float
-    """phi."""
-
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """cos phi, sin phi, a, b and c: what a network is given of its style."""
-        weights = self.weights.safety, self.weights.efficiency, self.weights.comfort
-        return math.cos(self.angle_rad), math.sin(self.angle_rad), *weights
+def style_numbers(weights: Weights, angle_rad: float) -> tuple[float, ...]:
+    """cos phi, sin phi, a, b and c: a style, as networks are given it."""
+    parts = weights.safety, weights.efficiency, weights.comfort
+    return math.cos(angle_rad), math.sin(angle_rad), *parts
 
 
 @dataclass(frozen=True)
@@ -104,19 +96,27 @@ class CompletedReward:
     """R_2 = E (a r_s + b r_e + c r_c) / (a + b + c) + O r_o, eq. 8, with E = cos phi, O = sin phi.
 
     Args:
-        styles: S of them; scene b has the style b modulo S.
+        weights: a, b and c; of several styles, those of each.
+        angle_rad: phi, of each. Of S styles, scene b has the style b modulo S.
         scales: What the equations leave open.
     """
 
-    styles: Sequence[Style]
+    weights: Weights | Sequence[Weights]
+    angle_rad: float | Sequence[float]
     scales: RewardScales
+
+    @cached_property
+    def _styles(self) -> Floats:
+        """(S, 5) the styles, as `style_numbers`."""
+        weights = [self.weights] if isinstance(self.weights, Weights) else self.weights
+        angles = [self.angle_rad] if isinstance(self.angle_rad, float | int) else self.angle_rad
+        return np.array([style_numbers(*style) for style in zip(weights, angles, strict=True)])
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Before:
         """Observes the scenes before the egos' actions (B,) are carried out."""
         scene, egos = simulation.scene, simulation.ego_vehicles
-        others_count = any(math.sin(style.angle_rad) for style in self.styles)
         return Before(
-            affected(scene, others_count),
+            affected(scene, bool(self._styles[:, 1].any())),
             scene.speed[egos],
             scene.acceleration[egos],
             scene.target_lane[egos],
@@ -125,8 +125,8 @@ class CompletedReward:
     def __call__(self, simulation: Simulation, prepared: Before) -> Floats:
         """The rewards (B,) of the decisions."""
         scene = simulation.scene
-        of_styles, count = np.array([style.numbers for style in self.styles]), len(self.styles)
-        own_share, others_share, a, b, c = of_styles[np.arange(scene.ego.size) % count].T
+        of_scenes = self._styles[np.arange(scene.ego.size) % len(self._styles)]
+        own_share, others_share, a, b, c = of_scenes.T
         own = (
             a * safety(scene, self.scales)
             + b * self._efficiency(simulation)

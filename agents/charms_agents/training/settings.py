@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from charms_agents.human.samples import Interface, SampleSettings
 from charms_agents.human.soft_labels import columns_of
-from charms_agents.training.completed_reward import CompletedReward, RewardScales, Style
+from charms_agents.training.completed_reward import CompletedReward, RewardScales, style_numbers
 from charms_agents.training.hyperparameters import Count, Hyperparameters, Supervised, Width
 from charms_agents.training.rewards import SVO_ANGLES_RAD, StyleReward, Svo, Weights
 from charms_bench.envs.learners import Reward
@@ -95,10 +95,10 @@ class StageStyle(FrozenModel):
     svo_angle_rad: Angle | None = None
     """phi of eq. 8; by default, the angle of `svo`."""
 
-    def made(self, weights: Mapping[str, Weights]) -> Style:
-        """The style with the suite's weights."""
-        angle = SVO_ANGLES_RAD[self.svo] if self.svo_angle_rad is None else self.svo_angle_rad
-        return Style(weights[self.weights], angle)
+    @property
+    def angle_rad(self) -> float:
+        """phi of eq. 8."""
+        return SVO_ANGLES_RAD[self.svo] if self.svo_angle_rad is None else self.svo_angle_rad
 
 
 class Stage(FrozenModel):
@@ -143,10 +143,11 @@ class Stage(FrozenModel):
 
     def reward_of(self, weights: Mapping[str, Weights]) -> Reward[Any]:
         """The reward of this stage with the suite's weights."""
-        styles = [style.made(weights) for style in self.all_styles.values()]
+        of_styles = [weights[style.weights] for style in self.all_styles.values()]
+        angles = [style.angle_rad for style in self.all_styles.values()]
         if self.reward is None:
-            return StyleReward(*styles[0])
-        return CompletedReward(styles, self.reward)
+            return StyleReward(of_styles[0], angles[0])
+        return CompletedReward(of_styles, angles, self.reward)
 
 
 class HumanStage(FrozenModel):
@@ -290,7 +291,10 @@ class TrainingSuite(FrozenModel):
 
     def styles_of(self, stage: Stage) -> dict[str, tuple[float, ...]]:
         """What a network is given of each of its styles, if it drives in several."""
-        return {name: each.made(self.weights).numbers for name, each in stage.styles.items()}
+        return {
+            name: style_numbers(self.weights[style.weights], style.angle_rad)
+            for name, style in stage.styles.items()
+        }
 
     def hyperparameters_of(self, stage: Stage) -> Hyperparameters:
         """The hyperparameters of a stage."""
