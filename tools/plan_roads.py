@@ -4,7 +4,8 @@
     python tools/plan_roads.py tables NETWORKS RUNS
 
 NETWORKS/SEED is the run folder of the training with that seed, and RUNS gets that of each test.
-What is finished is not driven again. `tables` writes `docs/results/plan-roads-*`.
+What is finished is not driven again. `tables` writes `docs/results/plan-roads-*`, where seeds that
+are not in NETWORKS keep their rows.
 """
 
 import json
@@ -16,6 +17,7 @@ import numpy as np
 import polars as pl
 import yaml
 from result_pages import RESULTS, ROOT, keep, refill
+from scipy import stats
 from seeds import OVER, SEED, Columns, mean_of, summary
 
 import charms_bench
@@ -24,8 +26,14 @@ from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
 from charms_bench.report.markdown import markdown
 from charms_bench.report.table import Table
 from charms_bench.runs.finished_run import open_finished
+from charms_bench.statistics.paired import holm
 
 CHARMS, LEVEL_1 = "CHARMS", "Level-1"
+STYLES = [f"{priority}_{svo}" for priority in ("efficient", "safe")
+          for svo in ("egoistic", "competitive", "prosocial", "altruistic")]  # fmt: skip
+"""The first is CHARMS wherever not all of them drive."""
+OF_STYLES = "styles"
+"""The test in which all of them do."""
 MERGE, EXIT, ROUNDABOUT = "merge-v1", "exit-v1", "roundabout-v1"
 INTERSECTION = {"name": "intersection-v1", "duration_s": 30.0}
 OWN, PEOPLE = "environment", {"traffic": "yielding_human", "label": "Yielding human"}
@@ -54,6 +62,7 @@ TESTS: dict[str, dict[str, Any]] = {
     "people": {"roads": THREE, "traffic_models": [PEOPLE]},
     "unknown": {"roads": THREE, "traffic_models": UNKNOWN},
     "generic": {"roads": GENERIC},
+    OF_STYLES: {"roads": [MERGE, ROUNDABOUT], "traffic_models": [PEOPLE]},
     "others": {"roads": OTHERS},
 }  # fmt: skip
 """What each suite adds to 600 episodes from seed 985,000,000 of 45 s."""
@@ -70,22 +79,36 @@ COLUMNS: Columns = {
     "time_s": ("mean time, s", ".1f", max),
     "wrecks": ("episodes with wrecks", ".1%", None),
 }
+STATEMENTS = [  # the styles of the first kind have less of it
+    ("efficient styles reach the goal sooner than safe ones, s", "time_s", "^efficient", "^safe"),
+    ("safe styles cause fewer conflicts per 1,000 km", "conflicts", "^safe", "^efficient"),
+    ("prosocial and altruistic styles impose less braking, m/s²", "imposed_mps2",
+     "prosocial|altruistic", "competitive|egoistic"),
+]  # fmt: skip
 
 
 def seeds_of(networks: Path) -> list[int]:
-    """The seeds whose efficient egoistic networks are there."""
-    return sorted(int(each.parts[-3]) for each in networks.glob("*/networks/efficient_egoistic.*x"))
+    """The seeds whose networks are there."""
+    return sorted(int(each.parts[-3]) for each in networks.glob("*/networks/roads.onnx"))
+
+
+def egos_of(test: str, folder: Path) -> dict[str, dict[str, str]]:
+    """The networks of a seed that drive in a test, by their labels."""
+    roads = str(folder / "networks" / "roads.onnx")
+    if test == OF_STYLES:
+        return {style.replace("_", " "): {"onnx": roads, "style": style} for style in STYLES}
+    level_1 = {"onnx": str(folder / "networks" / "level_1.onnx")}
+    return {LEVEL_1: level_1, CHARMS: {"onnx": roads, "style": STYLES[0]}}
 
 
 def drive(networks: Path, runs: Path, *tests: str) -> None:
     """Drives tests, by default all but those of the validation."""
     runs.mkdir(parents=True, exist_ok=True)
     for test in tests or [name for name in TESTS if name not in VALIDATION]:
-        egos = [*RULES]
-        for label, name in ((LEVEL_1, "level_1"), (CHARMS, "efficient_egoistic")):
-            for seed in seeds_of(networks):
-                file = networks.resolve() / str(seed) / "networks" / f"{name}.onnx"
-                egos.append({"agent": str(file), "label": f"{label}{SEED}{seed}"})
+        egos: list[dict[str, Any]] = [*RULES]
+        for seed in seeds_of(networks):
+            for label, agent in egos_of(test, networks.resolve() / str(seed)).items():
+                egos.append({"agent": agent, "label": f"{label}{SEED}{seed}"})
         common = {"suite": test, "seed": 985_000_000, "episodes": 600, "scene": {"duration_s": 45}}
         file = runs / f"{test}.yaml"
         file.write_text(yaml.safe_dump(common | TESTS[test] | {"egos": egos}, sort_keys=False))
@@ -114,11 +137,49 @@ def values_of(runs: Path, test: str) -> pl.DataFrame:
             "crashed": ENDED_BADLY,
             "time_s": time,
             "wrecks": pl.first("traffic_crashed") > 0,
+            "imposed_mps2": pl.first("entry_braking_mps2"),
         }
         values = cell.episodes.group_by("episode").agg(**found).select(pl.col(*found).mean())
-        known = {"road": cell.road, "traffic": cell.traffic, "ego": ego}
-        records.append(known | {"seed": int(seed) if seed else None} | values.row(0, named=True))
+        drivers = cell.drivers.filter("is_ego")
+        per_1000km = drivers["conflicts_by"].sum() / drivers["distance_m"].sum() * 1e6
+        known: dict[str, Any] = {
+            "test": test,
+            "road": cell.road,
+            "traffic": cell.traffic,
+            "ego": ego,
+        }
+        known |= {"seed": int(seed) if seed else None, "conflicts": per_1000km}
+        records.append(known | values.row(0, named=True))
     return pl.DataFrame(records, infer_schema_length=None)
+
+
+def kept(name: str, found: pl.DataFrame, key: str) -> pl.DataFrame:
+    """Writes the rows of a CSV file, beside those that it has of other seeds."""
+    path = RESULTS / f"{name}.csv"
+    before = pl.read_csv(path) if path.exists() else found.clear()
+    others = before.filter(~pl.col("seed").is_in(found["seed"].implode(), nulls_equal=True))
+    every = pl.concat([others, found], how="vertical_relaxed").sort(key, "seed")
+    every.write_csv(path)
+    return every
+
+
+def statements(values: pl.DataFrame) -> str:
+    """What the plan states of styles: differences of means, paired by seed, with Holm's p."""
+    records, p = list[dict[str, Any]](), list[float]()
+    for (road,), cell in values.group_by("road", maintain_order=True):
+        for text, column, less, more in STATEMENTS:
+            means = [
+                cell.filter(pl.col("ego").str.contains(words)).group_by("seed").agg(pl.mean(column))
+                for words in (less, more)
+            ]
+            differences = (means[0].sort("seed")[column] - means[1].sort("seed")[column]).to_numpy()
+            p.append(stats.ttest_1samp(differences, 0.0, alternative="less").pvalue)
+            mean = mean_of(differences)
+            found = f"{mean.value:.3g} [{mean.low:.3g}, {mean.high:.3g}]"
+            records.append({"road": road, "statement": text, "difference": found})
+    for record, each in zip(records, holm(np.array(p)), strict=True):
+        record["p (Holm)"] = f"{each:.2g}"
+    return markdown(Table.plain(records, tuple(records[0]), {}))
 
 
 def limits(values: pl.DataFrame) -> str:
@@ -179,9 +240,11 @@ def trained(networks: Path) -> pl.DataFrame:
 
 def tables(networks: Path, runs: Path) -> None:
     """Writes the tables of the plan and the CSV files beside them."""
-    trained(networks).write_csv(RESULTS / "plan-roads-trainings.csv")
-    found = {test: values_of(runs, test) for test in TESTS}
-    found = {test: values for test, values in found.items() if len(values)}
+    kept("plan-roads-trainings", trained(networks), "network")
+    driven = [values for test in TESTS if len(values := values_of(runs, test))]
+    every = pl.concat(driven).with_columns(pl.selectors.float().round_sig_figs(4))
+    found = dict(kept("plan-roads-values", every, "test").partition_by("test", as_dict=True))
+    found = {test: values for (test,), values in found.items()}
     of_validation = [found.pop(test) for test in VALIDATION if test in found]
     if len(of_validation) == len(VALIDATION):
         seeds = selected(pl.concat(of_validation)).with_columns(pl.col("seed").cast(str))
@@ -189,10 +252,12 @@ def tables(networks: Path, runs: Path) -> None:
         keep("plan-roads-selection", markdown(Table.plain(seeds.to_dicts(), ("seed",), forms)))
     if found.keys() >= {"people", "own"}:
         keep("plan-roads-limits", limits(pl.concat((found["people"], found["own"]))))
+    if OF_STYLES in found:
+        of_seeds = found[OF_STYLES].drop_nulls("seed")
+        keep("plan-roads-statements", statements(of_seeds))
     if found:
-        every = pl.concat(found.values()).with_columns(pl.selectors.float().round_sig_figs(6))
-        every.write_csv(RESULTS / "plan-roads-values.csv")
-        keep("plan-roads", summary(every, COLUMNS, ("road", "traffic", "ego", OVER)))
+        columns = ("road", "traffic", "ego", OVER)
+        keep("plan-roads", summary(pl.concat(found.values()), COLUMNS, columns))
     refill(ROOT / "docs" / "training-plan-roads.md")
 
 

@@ -9,15 +9,28 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 
 SVOS = ("competitive", "egoistic", "prosocial", "altruistic")
 """Social value orientations, from the least to the most weight on other drivers."""
-STYLES = {
-    "charms" if style == ("efficient", "egoistic") else "-".join(("charms", *style)): style
-    for style in product(("efficient", "safe"), SVOS)
-}
+FAMILIES = ("charms", "charms-roads")
+"""The agents of CHARMS: those of the straight road, and one network for all roads."""
+
+
+def agents_of(family: str) -> dict[str, tuple[str, str]]:
+    """Priority and orientation of each agent of a family, whose name is the efficient egoist's."""
+    return {
+        family if style == ("efficient", "egoistic") else "-".join((family, *style)): style
+        for style in product(("efficient", "safe"), SVOS)
+    }
+
+
+STYLES = agents_of("charms")
 """Priority and orientation of each agent of CHARMS; `charms` is the agent in the paper's table."""
 
 
-def packaged(network: str) -> OnnxPolicy:
-    """The policy of a network in this package; raises a `ModelError` if it is not installed."""
+def packaged(network: str, style: str | None = None) -> OnnxPolicy:
+    """The policy of a network in this package, in one of its styles if it has several.
+
+    Raises:
+        ModelError: It is not installed.
+    """
     file = files("charms_agents") / "policies" / f"{network}.onnx"
     if not file.is_file():
         raise ModelError(
@@ -25,7 +38,7 @@ def packaged(network: str) -> OnnxPolicy:
             "suites/train.yaml, train-baselines.yaml, train-paper.yaml or train-roads.yaml trains "
             "it, and the path of the trained file is an agent's name"
         )
-    return OnnxPolicy(str(file))
+    return OnnxPolicy(str(file), style=style)
 
 
 efficient_competitive = partial(packaged, "charms_efficient_competitive")
@@ -47,7 +60,14 @@ safe_altruistic = partial(packaged, "charms_safe_altruistic")
 best_response = partial(packaged, "best_response")
 """The best response to CHARMS traffic, eq. 13 of the paper."""
 on_roads = partial(packaged, "charms_roads")
-"""CHARMS for all roads, efficient and egoistic, which observes junctions."""
+"""CHARMS for all roads, which observes junctions; it is efficient and egoistic by default."""
+roads_efficient_competitive = partial(on_roads, "efficient_competitive")
+roads_efficient_prosocial = partial(on_roads, "efficient_prosocial")
+roads_efficient_altruistic = partial(on_roads, "efficient_altruistic")
+roads_safe_competitive = partial(on_roads, "safe_competitive")
+roads_safe_egoistic = partial(on_roads, "safe_egoistic")
+roads_safe_prosocial = partial(on_roads, "safe_prosocial")
+roads_safe_altruistic = partial(on_roads, "safe_altruistic")
 paper = partial(packaged, "charms_paper")
 """CHARMS, efficient and egoistic, by the settings that the paper states; `charms` has others."""
 imitation = partial(packaged, "imitation")

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from numbers import Real
 
-from charms_agents.charms import STYLES, SVOS
+from charms_agents.charms import FAMILIES, STYLES, SVOS, agents_of
 from charms_bench import Mixture
 from charms_bench.errors import InputError, suggestion
 
@@ -18,23 +18,32 @@ class Pch(Mixture):
         beta: Probability of an efficient style; otherwise the style is safe.
         styles: The agents that drive in these styles, such as `{safe-egoistic: mine.onnx}`. CHARMS
             drives in the other styles.
+        family: `charms`, the agents of the straight road, or `charms-roads`, those of all roads.
 
     Raises:
-        InputError: `tau` is negative or not finite, `beta` is not a probability, or `styles` names
-            another style or something other than an agent.
+        InputError: `tau` is negative or not finite, `beta` is not a probability, or `styles` or
+            `family` names something else.
     """
 
     def __init__(
-        self, tau: float = 1.5, beta: float = 0.5, styles: Mapping[str, str] | None = None
+        self,
+        tau: float = 1.5,
+        beta: float = 0.5,
+        styles: Mapping[str, str] | None = None,
+        family: str = "charms",
     ) -> None:
         if not (_is_number(tau) and 0 <= tau < math.inf):
             raise InputError(f"traffic 'pch': tau must be 0 or more, got {tau!r}")
         if not (_is_number(beta) and 0 <= beta <= 1):
             raise InputError(f"traffic 'pch': beta must be from 0 to 1, got {beta!r}")
+        if family not in FAMILIES:
+            known = f"expected {' or '.join(FAMILIES)}, got {family!r}"
+            raise InputError(f"traffic 'pch': family: {known}")
         poisson = [math.exp(-tau) * tau**k / math.factorial(k) for k in range(len(SVOS) - 1)]
         of_svo = dict(zip(SVOS, [*poisson, max(0.0, 1 - math.fsum(poisson))], strict=True))
         of_priority = {"efficient": beta, "safe": 1 - beta}
-        agents = {"-".join(style): name for name, style in STYLES.items()} | _checked(styles or {})
+        own = {"-".join(style): name for name, style in agents_of(family).items()}
+        agents = own | _checked(styles or {})
         shares = dict.fromkeys(agents.values(), 0.0)
         for priority, svo in STYLES.values():  # one agent may drive in several styles
             shares[agents[f"{priority}-{svo}"]] += of_priority[priority] * of_svo[svo]

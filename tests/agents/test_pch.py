@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from charms_agents.charms import STYLES, SVOS
+from charms_agents.charms import FAMILIES, STYLES, SVOS, agents_of
 from charms_agents.pch import Pch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -65,8 +65,10 @@ def test_other_agents_take_the_shares_of_the_styles_that_they_are_given_for() ->
     assert set(STYLES) - set(traffic.agents) == {"charms", "charms-safe-egoistic"}
 
 
-def test_every_style_is_an_installed_agent() -> None:
-    assert set(make_traffic("pch").agents) == set(STYLES) <= set(plugins(AGENTS))
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_style_is_an_installed_agent(family: str) -> None:
+    agents = set(make_traffic("pch", {"family": family}).agents)
+    assert agents == set(agents_of(family)) <= set(plugins(AGENTS))
 
 
 @pytest.mark.parametrize(
@@ -80,6 +82,7 @@ def test_every_style_is_an_installed_agent() -> None:
         ({"beta": True}, "beta must be from 0 to 1, got True"),
         ({"styles": ["a"]}, r"styles must be a mapping of styles to agents: \['a'\]"),
         ({"styles": {"safe-egoist": "a"}}, "no style 'safe-egoist'.* Did you mean 'safe-egoistic'"),
+        ({"family": "roads"}, "family: expected charms or charms-roads, got 'roads'"),
         ({"styles": {"safe-egoistic": 3}}, "safe-egoistic must be an agent's name, got 3"),
     ],
 )
