@@ -140,7 +140,7 @@ def values_of(runs: Path, test: str) -> pl.DataFrame:
             "imposed_mps2": pl.first("entry_braking_mps2"),
         }
         values = cell.episodes.group_by("episode").agg(**found).select(pl.col(*found).mean())
-        drivers = cell.drivers.filter("is_ego")
+        drivers = pl.concat(part for (part,) in cell.drivers).filter("is_ego")
         per_1000km = drivers["conflicts_by"].sum() / drivers["distance_m"].sum() * 1e6
         known: dict[str, Any] = {
             "test": test,
