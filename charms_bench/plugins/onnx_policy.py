@@ -130,6 +130,7 @@ class OnnxPolicy(Policy):
             raise ModelError(f"cannot be read: {error.strerror}{remedy}") from error
         if problem := problem_of(data):
             raise ModelError(problem)
+        self._sha256 = sha256(data).hexdigest()
         self._data: bytes | None = data
         self._opened: Any = None
         found = signature_of(self._session) if is_child() else tried(data)
@@ -151,7 +152,6 @@ class OnnxPolicy(Policy):
         self.memory_width, self.noise_draws = self._roles.memory, self._roles.noise
         self._style, numbers = _style(said.get("styles"), self._roles.style, style)
         self._given = np.array([numbers], np.float32)
-        self._sha256 = sha256(data + self._given.tobytes()).hexdigest()
         if self._roles.mask:
             self.observation = _with_mask(self.observation, self.actions)
         if decision_hz is None:
