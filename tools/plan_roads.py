@@ -34,6 +34,8 @@ STYLES = [f"{priority}_{svo}" for priority in ("efficient", "safe")
 """The first is CHARMS wherever not all of them drive."""
 OF_STYLES = "styles"
 """The test in which all of them do."""
+OF_LEVELS = "levels"
+"""The test in which Level-1 drives."""
 MERGE, EXIT, ROUNDABOUT = "merge-v1", "exit-v1", "roundabout-v1"
 INTERSECTION = {"name": "intersection-v1", "duration_s": 30.0}
 OWN, PEOPLE = "environment", {"traffic": "yielding_human", "label": "Yielding human"}
@@ -50,6 +52,17 @@ GENERIC = [
     {"name": "roundabout-generic-v1", "label": "roundabout-generic-v1, radius 40 m, 3 lanes",
      "configuration": {"roundabout_radius": 40, "roundabout_lanes": 3}},
 ]  # fmt: skip
+PLACES, FILES = ROOT / "suites" / "places", ROOT.parent / "shared" / "data" / "maps"
+JUNCTIONS = [{"file": str(PLACES / f"{name}.json"), "label": name.replace("-", " ")}
+             for name in ("t-junction", "wide-crossing")]  # fmt: skip
+MAPS = (
+    ("opendrive/esmini_fabriksgatan.xodr", "opendrive/esmini_lane_offset_intersection.xodr",
+     "opendrive/esmini_simple_4way_intersection.xodr", "sumo/crossing_4lane.net.xml"),
+    ("opendrive/esmini_highway_exit.xodr", "opendrive/esmini_highway_merge.xodr",
+     "sumo/cloverleaf.net.xml", "sumo/merge_3lane.net.xml"),
+)  # fmt: skip
+"""Intersections and motorways with ramps, of which one each is drawn; see `drawn_maps`."""
+FIRST_SEED = 4030
 OTHERS = ["merge-v0", "exit-v0", "roundabout-v0", "u-turn-v1", "two-way-v0", "merge-generic-v1",
           "roundabout-generic-v1"]  # fmt: skip
 THREE = [MERGE, EXIT, ROUNDABOUT]
@@ -58,10 +71,13 @@ TESTS: dict[str, dict[str, Any]] = {
     "validation-people": {
         "seed": 975_000_000, "episodes": 300, "roads": THREE, "traffic_models": [PEOPLE]
     },
-    "own": {"roads": [*THREE, INTERSECTION]},
-    "people": {"roads": THREE, "traffic_models": [PEOPLE]},
+    "own": {"roads": [*THREE, INTERSECTION], "episodes": 6_000},
+    "people": {"roads": THREE, "traffic_models": [PEOPLE], "episodes": 6_000},
+    OF_LEVELS: {"roads": [*THREE, INTERSECTION]},
     "unknown": {"roads": THREE, "traffic_models": UNKNOWN},
     "generic": {"roads": GENERIC},
+    "junctions": {"roads": JUNCTIONS},
+    "maps": {},
     OF_STYLES: {"roads": [MERGE, ROUNDABOUT], "traffic_models": [PEOPLE]},
     "others": {"roads": OTHERS},
 }  # fmt: skip
@@ -97,8 +113,17 @@ def egos_of(test: str, folder: Path) -> dict[str, dict[str, str]]:
     roads = str(folder / "networks" / "roads.onnx")
     if test == OF_STYLES:
         return {style.replace("_", " "): {"onnx": roads, "style": style} for style in STYLES}
-    level_1 = {"onnx": str(folder / "networks" / "level_1.onnx")}
-    return {LEVEL_1: level_1, CHARMS: {"onnx": roads, "style": STYLES[0]}}
+    if test == OF_LEVELS:
+        return {LEVEL_1: {"onnx": str(folder / "networks" / "level_1.onnx")}}
+    return {CHARMS: {"onnx": roads, "style": STYLES[0]}}
+
+
+def drawn_maps(networks: Path) -> list[dict[str, str]]:
+    """A map of each kind, drawn by the hash of the network of the first seed."""
+    manifest = networks / str(FIRST_SEED) / "networks" / "roads.json"
+    number = int(json.loads(manifest.read_text(encoding="utf-8"))["onnx_sha256"], 16)
+    names = [kind[number % len(kind)] for kind in MAPS]
+    return [{"file": str(FILES / name), "label": Path(name).name.split(".")[0]} for name in names]
 
 
 def drive(networks: Path, runs: Path, *tests: str) -> None:
@@ -111,7 +136,8 @@ def drive(networks: Path, runs: Path, *tests: str) -> None:
                 egos.append({"agent": agent, "label": f"{label}{SEED}{seed}"})
         common = {"suite": test, "seed": 985_000_000, "episodes": 600, "scene": {"duration_s": 45}}
         file = runs / f"{test}.yaml"
-        file.write_text(yaml.safe_dump(common | TESTS[test] | {"egos": egos}, sort_keys=False))
+        own = TESTS[test] | ({"roads": drawn_maps(networks)} if test == "maps" else {})
+        file.write_text(yaml.safe_dump(common | own | {"egos": egos}, sort_keys=False))
         charms_bench.run(file, runs / test)
 
 
