@@ -36,11 +36,12 @@ import numpy as np
 from pydantic import Field
 
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
-from charms_bench.foundation.fields import FrozenModel
+from charms_bench.foundation.fields import FrozenModel, NonNegative
+from charms_bench.foundation.philox import uniforms
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.road import side_lanes
-from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
+from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
 EGO, WAY, FIRST_NEIGHBOUR, FIRST_CONFLICT = 0, 1, 2, 8
 """The rows of the ego and of its way, and the first ones of its neighbours and of conflicts."""
@@ -67,6 +68,11 @@ class Interaction(FrozenModel):
     """K, the rows of vehicles whose ways meet the ego's."""
     occlusion: bool = False
     """Whether these rows lack vehicles whose centre is hidden from the ego's behind another one."""
+    distance_noise_m: NonNegative = 0.0
+    speed_noise_mps: NonNegative = 0.0
+    """Standard deviations of the errors with which distances to other vehicles, and of them to
+    conflict points, and their speeds are seen. Both errors are sums of four uniform numbers, drawn
+    from what the ego is and sees, so that an episode that is simulated again has them again."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -79,7 +85,39 @@ class Interaction(FrozenModel):
         _fill(scene, vehicles[0], vehicles[1], observations)
         if scene.junctions is not None:
             scene.junctions.describe(vehicles, observations, self.occlusion)
+        if self.distance_noise_m or self.speed_noise_mps:
+            self._blur(scene.x[vehicles], scene.y[vehicles], observations)
         return observations
+
+    def _blur(self, x: Floats, y: Floats, observations: Observations) -> None:
+        """Adds the errors to the rows of other vehicles that M egos at x, y (M,) see."""
+        words = [x, y, observations.sum(axis=(1, 2), dtype=np.float64)]
+        rows = observations[:, FIRST_NEIGHBOUR:]
+        drawn = uniforms(*(each.view(np.uint64) for each in words), 8 * rows.shape[1])
+        errors = (drawn.reshape(*rows.shape[:2], 2, 4).sum(axis=-1) - 2.0) * 3**0.5
+        apart = errors[..., 0] * self.distance_noise_m
+        speed = errors[..., 1] * self.speed_noise_mps
+        seen, split = rows.astype(np.float64), FIRST_CONFLICT - FIRST_NEIGHBOUR
+        near, met = seen[:, :split], seen[:, split:]
+        gap = near[..., 1] * RANGE_M + apart[:, :split]
+        own = near[..., 3] * SPEED_MPS - near[..., 2] * RELATIVE_MPS
+        other = near[..., 3] * SPEED_MPS + speed[:, :split]
+        behind = np.arange(split) % 2 == 1
+        following = np.maximum(np.where(behind, other, own), SLOWEST_MPS)
+        closing = np.where(behind, other - own, own - other) / np.maximum(gap, SHORTEST_M)
+        for column, values in (
+            (1, gap / RANGE_M),
+            (2, (other - own) / RELATIVE_MPS),
+            (3, other / SPEED_MPS),
+            (6, closing),
+            (7, gap / following / TIME_GAP_S),
+        ):
+            near[..., column] = values
+        away = met[..., 2] * RANGE_M + apart[:, split:]
+        other = np.maximum(met[..., 3] * SPEED_MPS + speed[:, split:], 0.0)
+        met[..., 2], met[..., 3] = away / RANGE_M, other / SPEED_MPS
+        met[..., 4] = away / np.maximum(other, SLOWEST_MPS) / TIME_S - met[..., 7]
+        rows[:] = np.where(seen[..., :1] > 0, np.clip(seen, -1.0, 1.0), 0.0)
 
 
 @compiled_of_scenes

@@ -183,6 +183,36 @@ def test_a_vehicle_hides_what_is_behind_it(aside_m: float, is_hidden: bool) -> N
     assert counts == [1.0, 0.0 if is_hidden else 1.0]
 
 
+@pytest.mark.parametrize("road", ["intersection-v1", "merge-v1"])
+def test_others_are_seen_with_errors_of_the_given_size(road: str) -> None:
+    errors: dict[int, list[Any]] = {1: [], 2: [], 3: []}
+    for decisions in (2, 4, 6):
+        simulation = driven(road, decisions)
+        egos = np.arange(20), np.zeros(20, dtype=np.int64)
+        shown = simulation.engine.seen_by(egos)
+        exact, hardly, blurred, again = (
+            Interaction(distance_noise_m=metres, speed_noise_mps=mps)(*shown)
+            for metres, mps in ((0.0, 0.0), (1e-6, 0.0), (2.0, 0.5), (2.0, 0.5))
+        )
+        np.testing.assert_array_equal(blurred, again)
+        np.testing.assert_array_equal(blurred[:, :2], exact[:, :2])
+        np.testing.assert_array_equal(blurred[..., 0], exact[..., 0])
+        # Values at the end of their range are not known, and so neither is what follows of them.
+        is_known = (np.abs(exact[..., 1:4]) < 1.0).all(axis=-1)
+        np.testing.assert_allclose(hardly[is_known], exact[is_known], atol=2e-4)
+        there = exact[:, 2:, 0] > 0
+        difference = (blurred.astype(np.float64) - exact)[:, 2:]
+        for rows, column, scale in ((slice(0, 6), 1, 100.0), (slice(6, 12), 2, 100.0)):
+            errors[column].append((difference[:, rows, column] * scale)[there[:, rows]])
+        errors[3].append((difference[..., 3] * 33.0)[there])
+    for column, size in ((1, 2.0), (2, 2.0), (3, 0.5)):
+        found = np.concatenate(errors[column])
+        if found.size >= 100:
+            assert abs(found.mean()) < 5 * size / np.sqrt(found.size)
+            assert found.std() == pytest.approx(size, rel=0.25)
+    assert np.concatenate(errors[3]).size >= 100
+
+
 def test_on_a_straight_road_the_rows_are_the_neighbours() -> None:
     observed = []
     for observation in ("interaction", "neighbours"):
