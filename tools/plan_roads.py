@@ -1,11 +1,9 @@
-"""The plan of docs/training-plan-roads.md: drives its networks and writes what they do.
+"""Drives the networks of docs/training-plan-roads.md in the tests of the plan.
 
-    python tools/plan_roads.py drive NETWORKS RUNS [TEST ...]
-    python tools/plan_roads.py tables NETWORKS RUNS
+    python tools/plan_roads.py NETWORKS RUNS [TEST ...]
 
 NETWORKS/SEED is the run folder of the training with that seed, and RUNS gets that of each test.
-What is finished is not driven again. `tables` writes `docs/results/plan-roads-*`, where seeds that
-are not in NETWORKS keep their rows.
+What is finished is not driven again. `plan_roads_tables.py` writes what they do.
 """
 
 import json
@@ -13,20 +11,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import polars as pl
 import yaml
-from result_pages import RESULTS, ROOT, keep, refill
-from scipy import stats
-from seeds import OVER, SEED, Columns, mean_of, summary
+from result_pages import ROOT
+from seeds import SEED
 
 import charms_bench
-from charms_bench.errors import RunFolderError
-from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
-from charms_bench.report.markdown import markdown
-from charms_bench.report.table import Table
-from charms_bench.runs.finished_run import open_finished
-from charms_bench.statistics.paired import holm
 
 CHARMS, LEVEL_1 = "CHARMS", "Level-1"
 STYLES = [f"{priority}_{svo}" for priority in ("efficient", "safe")
@@ -84,23 +73,6 @@ TESTS: dict[str, dict[str, Any]] = {
 """What each suite adds to 600 episodes from seed 985,000,000 of 45 s."""
 VALIDATION = "validation", "validation-people"
 """What selects, and is no test."""
-LIMITS = {  # goal reached, at fault
-    MERGE: (0.98, 0.005), EXIT: (0.95, 0.01), ROUNDABOUT: (0.92, 0.02),
-    "intersection-v1": (0.92, 0.02),
-}  # fmt: skip
-COLUMNS: Columns = {
-    "reached": ("goal reached", ".1%", min),
-    "at_fault": ("at fault or undecided", ".2%", max),
-    "crashed": ("crashed", ".2%", max),
-    "time_s": ("mean time, s", ".1f", max),
-    "wrecks": ("episodes with wrecks", ".1%", None),
-}
-STATEMENTS = [  # the styles of the first kind have less of it
-    ("efficient styles reach the goal sooner than safe ones, s", "time_s", "^efficient", "^safe"),
-    ("safe styles cause fewer conflicts per 1,000 km", "conflicts", "^safe", "^efficient"),
-    ("prosocial and altruistic styles impose less braking, m/s²", "imposed_mps2",
-     "prosocial|altruistic", "competitive|egoistic"),
-]  # fmt: skip
 
 
 def seeds_of(networks: Path) -> list[int]:
@@ -141,154 +113,7 @@ def drive(networks: Path, runs: Path, *tests: str) -> None:
         charms_bench.run(file, runs / test)
 
 
-def values_of(runs: Path, test: str) -> pl.DataFrame:
-    """The values of a test, one row per road, traffic and network; none if it is not driven.
-
-    Crashes of which the rule of fault says nothing count as at fault, and where the ego does not
-    reach the goal, its time is the duration.
-    """
-    try:
-        run = open_finished(runs / test)
-    except RunFolderError as error:
-        print(f"{test}: left out: {error}")
-        return pl.DataFrame()
-    records = []
-    for index in run.finished:
-        cell, limit_s = run.cell(index), run.suite.cells[index].scene.duration_s
-        ego, _, seed = cell.agent.partition(SEED)
-        time = pl.when(ENDING == "goal").then(pl.first("duration_s")).otherwise(limit_s)
-        found = {
-            "reached": ENDING == "goal",
-            "at_fault": ENDED_BADLY & AT_FAULT.fill_null(value=True),
-            "crashed": ENDED_BADLY,
-            "time_s": time,
-            "wrecks": pl.first("traffic_crashed") > 0,
-            "imposed_mps2": pl.first("entry_braking_mps2"),
-        }
-        values = cell.episodes.group_by("episode").agg(**found).select(pl.col(*found).mean())
-        drivers = pl.concat(part for (part,) in cell.drivers).filter("is_ego")
-        per_1000km = drivers["conflicts_by"].sum() / drivers["distance_m"].sum() * 1e6
-        known: dict[str, Any] = {
-            "test": test,
-            "road": cell.road,
-            "traffic": cell.traffic,
-            "ego": ego,
-        }
-        known |= {"seed": int(seed) if seed else None, "conflicts": per_1000km}
-        records.append(known | values.row(0, named=True))
-    return pl.DataFrame(records, infer_schema_length=None)
-
-
-def kept(name: str, found: pl.DataFrame, key: str) -> pl.DataFrame:
-    """Writes the rows of a CSV file, beside those that it has of other seeds."""
-    path = RESULTS / f"{name}.csv"
-    before = pl.read_csv(path) if path.exists() else found.clear()
-    others = before.filter(~pl.col("seed").is_in(found["seed"].implode(), nulls_equal=True))
-    every = pl.concat([others, found], how="vertical_relaxed").sort(key, "seed")
-    every.write_csv(path)
-    return every
-
-
-def statements(values: pl.DataFrame) -> str:
-    """What the plan states of styles: differences of means, paired by seed, with Holm's p."""
-    records, p = list[dict[str, Any]](), list[float]()
-    for (road,), cell in values.group_by("road", maintain_order=True):
-        for text, column, less, more in STATEMENTS:
-            means = [
-                cell.filter(pl.col("ego").str.contains(words)).group_by("seed").agg(pl.mean(column))
-                for words in (less, more)
-            ]
-            differences = (means[0].sort("seed")[column] - means[1].sort("seed")[column]).to_numpy()
-            p.append(stats.ttest_1samp(differences, 0.0, alternative="less").pvalue)
-            mean = mean_of(differences)
-            found = f"{mean.value:.3g} [{mean.low:.3g}, {mean.high:.3g}]"
-            records.append({"road": road, "statement": text, "difference": found})
-    for record, each in zip(records, holm(np.array(p)), strict=True):
-        record["p (Holm)"] = f"{each:.2g}"
-    return markdown(Table.plain(records, tuple(records[0]), {}))
-
-
-def limits(values: pl.DataFrame) -> str:
-    """The limits of the plan, for each cell: the means of the seeds and whether they hold."""
-    records = []
-    for (road, traffic), cell in values.group_by("road", "traffic", maintain_order=True):
-        human_s = cell.filter(ego="Human")["time_s"][0]
-        goal, fault = LIMITS[str(road)]
-        for column, bound, sign in (
-            ("reached", goal, 1),
-            ("at_fault", fault, -1),
-            ("time_s", human_s, -1),
-        ):
-            header, form, worst = COLUMNS[column]
-            each = cell.filter(ego=CHARMS)[column].to_numpy()
-            mean = mean_of(each, 0.0, 1.0 if form.endswith("%") else np.inf)
-            ends = f" [{mean.low:{form}}, {mean.high:{form}}]" if mean.low is not None else ""
-            record = {"road": road, "traffic": traffic, "quantity": header}
-            record |= {
-                "limit": f"{bound:{form}}",
-                "mean of the seeds": f"{mean.value:{form}}{ends}",
-            }
-            record |= {"worst seed": f"{worst(each):{form}}" if worst else ""}
-            record |= {"mean holds": "yes" if sign * each.mean() >= sign * bound else "no"}
-            records.append(record)
-    return markdown(Table.plain(records, tuple(records[0]), {}))
-
-
-def selected(values: pl.DataFrame) -> pl.DataFrame:
-    """The seeds by the rule of selection, the first of which becomes CHARMS."""
-    human = values.filter(ego="Human").select("road", "traffic", human_s="time_s")
-    charms = values.filter(ego=CHARMS).join(human, on=["road", "traffic"])
-    goal, fault = (
-        pl.col("road").replace_strict({road: each[k] for road, each in LIMITS.items()})
-        for k in (0, 1)
-    )
-    met = [pl.col("reached") >= goal, pl.col("at_fault") <= fault]
-    met.append(pl.col("time_s") <= pl.col("human_s"))
-    return (
-        charms.with_columns(limits_met=pl.sum_horizontal(*met))
-        .group_by("seed")
-        .agg(pl.sum("limits_met"), pl.mean("reached", "at_fault", "crashed", "time_s"))
-        .sort(-pl.col("limits_met"), "at_fault", "time_s")
-    )
-
-
-def trained(networks: Path) -> pl.DataFrame:
-    """Each network of the plan, with its hash and CPU minutes."""
-    records = []
-    for seed in seeds_of(networks):
-        for path in sorted((networks / str(seed) / "networks").glob("*.json")):
-            manifest = json.loads(path.read_text(encoding="utf-8"))
-            minutes = round(manifest["cpu_s"] / 60, 2)
-            found = {"network": path.stem, "seed": seed, "onnx_sha256": manifest["onnx_sha256"]}
-            records.append(found | {"CPU minutes": minutes})
-    return pl.DataFrame(records)
-
-
-def tables(networks: Path, runs: Path) -> None:
-    """Writes the tables of the plan and the CSV files beside them."""
-    kept("plan-roads-trainings", trained(networks), "network")
-    driven = [values for test in TESTS if len(values := values_of(runs, test))]
-    every = pl.concat(driven).with_columns(pl.selectors.float().round_sig_figs(4))
-    found = dict(kept("plan-roads-values", every, "test").partition_by("test", as_dict=True))
-    found = {test: values for (test,), values in found.items()}
-    of_validation = [found.pop(test) for test in VALIDATION if test in found]
-    if len(of_validation) == len(VALIDATION):
-        seeds = selected(pl.concat(of_validation)).with_columns(pl.col("seed").cast(str))
-        forms = {"limits_met": ".0f"} | {name: COLUMNS[name][1] for name in seeds.columns[2:]}
-        keep("plan-roads-selection", markdown(Table.plain(seeds.to_dicts(), ("seed",), forms)))
-    if found.keys() >= {"people", "own"}:
-        keep("plan-roads-limits", limits(pl.concat((found["people"], found["own"]))))
-    if OF_STYLES in found:
-        of_seeds = found[OF_STYLES].drop_nulls("seed")
-        keep("plan-roads-statements", statements(of_seeds))
-    if found:
-        columns = ("road", "traffic", "ego", OVER)
-        keep("plan-roads", summary(pl.concat(found.values()), COLUMNS, columns))
-    refill(ROOT / "docs" / "training-plan-roads.md")
-
-
 if __name__ == "__main__":
-    if len(sys.argv) < 4 or sys.argv[1] not in ("drive", "tables"):
-        sys.exit("usage: python tools/plan_roads.py drive|tables NETWORKS RUNS [TEST ...]")
-    folders = Path(sys.argv[2]), Path(sys.argv[3])
-    drive(*folders, *sys.argv[4:]) if sys.argv[1] == "drive" else tables(*folders)
+    if len(sys.argv) < 3:
+        sys.exit("usage: python tools/plan_roads.py NETWORKS RUNS [TEST ...]")
+    drive(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:])

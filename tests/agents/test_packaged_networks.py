@@ -82,10 +82,11 @@ def test_the_paper_has_one_of_the_networks_of_the_plan() -> None:
 
 def test_the_agent_of_all_roads_has_one_of_the_networks_of_its_plan() -> None:
     table = pl.read_csv(RESULTS / "plan-roads-trainings.csv")
-    of_seed = table.filter(network="efficient_egoistic", seed=4020)
-    assert of_seed["onnx_sha256"].item() == sha256(POLICIES / "charms_roads.onnx")
     suite, made = load_training(PROJECT / "suites" / "train-roads.yaml"), manifest("charms_roads")
     stage = suite.stages[made["stage"]]
+    of_seed = table.filter(network="roads", seed=suite.seed)
+    assert of_seed["onnx_sha256"].item() == sha256(POLICIES / "charms_roads.onnx")
+    assert [*made["style"]] == [*stage.styles]
     assert stage.reward is not None
     assert made["reward"] == stage.reward.model_dump(exclude_none=True)
     assert (made["steps"], made["seed"]) == (stage.steps, suite.seed)
