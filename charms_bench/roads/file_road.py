@@ -28,6 +28,7 @@ from charms_bench.roads.giving_way import (
     MOST_AHEAD,
     RED,
     RED_BEFORE,
+    SLOW_MPS,
     Ahead,
     Meetings,
     give_way,
@@ -48,6 +49,7 @@ from charms_bench.roads.scenes import (
     NOTHING,
     OBSTACLE,
     Here,
+    Row,
     Scenes,
     here_of,
     index_of,
@@ -487,6 +489,10 @@ def _follow(
             forget(here, i)
             vehicle = scenes.vehicles[b, i]
             happened[b, i] = 0
+            if not is_standing(vehicle):
+                vehicle.stood_s *= abs(vehicle.speed) < SLOW_MPS
+            else:
+                vehicle.stood_s += rule.interval
             if i >= rule.egos and vehicle.kind > OBSTACLE and vehicle.checks_collisions:
                 happened[b, i] = fate(scenes, b, i, rule)
                 if happened[b, i] > 0:
@@ -512,12 +518,15 @@ def _follow(
 
 
 @compiled
+def is_standing(vehicle: Row) -> bool:
+    """Whether a vehicle stands, or is a wreck."""
+    return bool(vehicle.crashed or abs(vehicle.speed) < STANDING_MPS)
+
+
+@compiled
 def fate(scenes: Scenes, b: int, i: int, rule: Rule) -> int:
     """What happens to a vehicle that is there; 0 if it stays."""
     vehicle = scenes.vehicles[b, i]
-    vehicle.stood_s += rule.interval
-    if not (vehicle.crashed or abs(vehicle.speed) < STANDING_MPS):
-        vehicle.stood_s = 0.0
     if vehicle.crashed:
         return CLEARED if vehicle.stood_s >= WRECK_S else 0
     if vehicle.stood_s >= STANDING_S:

@@ -374,11 +374,13 @@ def waits(
 def rank_of(vehicle: Row, i: int, k: int, enters: float, inside: Ints, ahead: Ahead) -> int:
     """2 in the junction of a place, 1 for a vehicle that can no longer stop before it, otherwise 0.
 
-    The place is on the lane number k of the way of vehicle i.
+    The place is on the lane number k of the way of vehicle i. A vehicle that has passed the line
+    before the junction counts as in it.
     """
     is_inside = True
     for n in range(k + 1):
-        is_inside = is_inside and inside[ahead.lanes[i, n]] > 0
+        is_past = ahead.starts[i, min(n + 1, k)] < LINE_M - MARGIN_M
+        is_inside = is_inside and (inside[ahead.lanes[i, n]] > 0 or (is_past and n < k))
     if is_inside:
         return 2
     return 1 if enters < braking_way(vehicle) else 0
