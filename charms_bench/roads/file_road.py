@@ -30,10 +30,8 @@ from charms_bench.roads.giving_way import (
     RED_BEFORE,
     SLOW_MPS,
     Ahead,
-    Meetings,
     give_way,
     look_along,
-    meetings_of,
 )
 from charms_bench.roads.goal_states import have_met
 from charms_bench.roads.inflow import ENTRY_M
@@ -41,6 +39,7 @@ from charms_bench.roads.layout import Edge
 from charms_bench.roads.locating import coordinates_of, forget, locate
 from charms_bench.roads.looking_ahead import BRAKING_MPS2, speed_ahead
 from charms_bench.roads.map_lanes import driven_lanes, indices_of, levels_of, map_of
+from charms_bench.roads.meetings import Meetings, meetings_of
 from charms_bench.roads.recorded_scenes import enter, on_road, put_recorded, scene_of
 from charms_bench.roads.routes import Routes, plan_way, routes_of
 from charms_bench.roads.scenes import (
@@ -161,6 +160,11 @@ class FileRoad(Task):
         flat = [after for each in links for after in each]
         self._links = np.array(flat, dtype=np.int64)
         self._ends = np.cumsum([len(each) for each in links])
+        self._last = np.full(len(links), np.inf)
+        for k in [k for k, following in enumerate(links) if not following]:
+            along = np.arange(float(road.lanes["length"][k]))
+            wide = [width_at(road, k, s) >= NARROW_M for s in along]
+            self._last[k] = 1.0 + along[wide].max(initial=LINE_M)
         every = np.nonzero(~is_inside)[0] if outside.size else np.arange(road.lanes.size)
         self._everywhere = _places(every, road.lanes["length"])
         starts = np.setdiff1d(every, self._links)
@@ -250,10 +254,9 @@ class FileRoad(Task):
 
     def _regulate(self, scenes: Scenes, rows: Ints) -> None:
         """Says where vehicles stop."""
-        lists = self._links, self._ends
-        _regulate(
-            scenes, rows, lists, self._meetings, self._inside, self._lights, self._rule.interval
-        )
+        lists, interval = (self._links, self._ends), self._rule.interval
+        places = self._meetings, self._inside, self._lights, self._last
+        _regulate(scenes, rows, lists, *places, interval)
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the road of its goal, as far along as that is.
@@ -589,13 +592,11 @@ def _regulate(
     meetings: Meetings,
     inside: Ints,
     lights: Lights,
+    ends: Floats,
     interval: float,
 ) -> None:
     """Says where the vehicles of the scenes `rows` stop."""
     is_red = np.zeros(scenes.road.lanes.size, dtype=np.int64)
-    ends_here = np.zeros(scenes.road.lanes.size, dtype=np.bool_)
-    for lane in range(ends_here.size):
-        ends_here[lane] = links[1][lane] == (links[1][lane - 1] if lane > 0 else 0)
     count = scenes.vehicles.shape[1]
     ahead = Ahead(
         np.zeros((count, MOST_AHEAD), dtype=np.int64),
@@ -610,7 +611,7 @@ def _regulate(
     for b in rows:
         show_lights(lights, scenes.steps[b] * interval, is_red)
         look_along(scenes, b, links, ahead)
-        give_way(scenes, b, meetings, inside, is_red, ends_here, ahead)
+        give_way(scenes, b, meetings, inside, is_red, ends, ahead)
 
 
 @compiled_of_scenes

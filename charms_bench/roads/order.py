@@ -213,7 +213,7 @@ def is_on(here: Here, j: int, lane: int) -> bool:
 def comes_past(here: Here, j: int, lane: Row, at: Row) -> bool:
     """Whether vehicle j comes against the direction of a lane, and leaves room on it.
 
-    highway-env takes any vehicle up to `NEIGHBOUR_MARGIN_M` beside a lane for one on it. On maps,
+    Beyond the ends of the lane, the lanes that follow say whether there is room. highway-env takes any vehicle up to `NEIGHBOUR_MARGIN_M` beside a lane for one on it. On maps,
     opposite lanes can be so close that two oncoming vehicles would stop before each other.
     """
     vehicle, heading = vehicle_of(here, j), heading_on(here, lane, at.s)
@@ -221,7 +221,8 @@ def comes_past(here: Here, j: int, lane: Row, at: Row) -> bool:
     along = x * vehicle.direction_x + y * vehicle.direction_y
     across = abs(x * vehicle.direction_y - y * vehicle.direction_x)
     reach = (across * vehicle.length - along * vehicle.width) / 2
-    return bool(along < 0.0 and abs(at.r) - reach > vehicle.width / 2 + ROOM_M)
+    has_room = abs(at.r) - reach > vehicle.width / 2 + ROOM_M
+    return bool(along < 0.0 and (has_room or at.s < 0.0 or at.s > lane.length))
 
 
 @compiled
