@@ -106,7 +106,7 @@ def drive(
         "collisions": f"{sum(found.crashes.values())} ({kinds or 'none'})",
         "collisions in 1,000 km": f"{found.crashes_per_1000_km:.1f}",
         "left the road": counted(found.off_road, "time"),
-        "stood for 2 minutes and were taken out": counted(found.freed, "vehicle"),
+        "stood for too long and were taken out": counted(found.freed, "vehicle"),
         "left at an end of the road": counted(found.left, "vehicle"),
         "time at standstill": f"{100 * found.standing:.1f} %",
     }

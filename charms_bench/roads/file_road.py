@@ -6,7 +6,7 @@ density and drive to goals that are drawn from those that they can reach; at its
 draws the next one. So does a vehicle that comes to the end of a lane that does not lead on along
 its way. At an end of the road, a vehicle leaves. It comes back at a start, or on any lane of a road
 without starts, as soon as there is space. So do wrecks after `WRECK_S`, and vehicles that have
-stood for `STANDING_S`.
+stood for `STANDING_S` and the longest cycle of the map's lights.
 """
 
 import math
@@ -89,6 +89,8 @@ class Rule(NamedTuple):
     duration: float
     entering_draws: int
     """How often a vehicle that comes back draws a place; 0 if none does."""
+    patience: float
+    """A vehicle that has stood for longer is taken out, s."""
 
 
 class Places(NamedTuple):
@@ -137,12 +139,12 @@ class FileRoad(Task):
         for k, following in enumerate(links):
             for after in following:
                 before[after].append(k)
+        self._lights = _lights(self.map, indices)
         for k in np.nonzero(~is_inside & (road.lanes["length"] < BETWEEN_M))[0].tolist():
             beside = [*links[k], *before[k]]
             inside[k] = bool(links[k] and before[k]) and bool(is_inside[beside].all())
         self.links = links
         self._meetings, self._inside = meetings_of(self.map, indices), inside
-        self._lights = _lights(self.map, indices)
         firsts = np.unique(road.lanes["first"])
         outside = firsts[~is_inside[firsts]]
         goals = outside if outside.size else firsts
@@ -180,7 +182,8 @@ class FileRoad(Task):
             self.vehicles = self.moments.vehicles.shape[1]
         draws = ENTERING_DRAWS if self.moments is None else 0
         interval, duration = 1 / config["policy_frequency"], min(self.duration, 1e4)
-        self._rule = Rule(self.egos, self.vehicles, interval, duration, draws)
+        patience = STANDING_S + self._lights.cycles.max(initial=0.0)
+        self._rule = Rule(self.egos, self.vehicles, interval, duration, draws, float(patience))
         self.happened = np.zeros((0, 0), dtype=np.int64)
         """(B, N) what happened to each vehicle after the last decision; 0 is nothing."""
 
@@ -532,7 +535,7 @@ def fate(scenes: Scenes, b: int, i: int, rule: Rule) -> int:
     vehicle = scenes.vehicles[b, i]
     if vehicle.crashed:
         return CLEARED if vehicle.stood_s >= WRECK_S else 0
-    if vehicle.stood_s >= STANDING_S:
+    if vehicle.stood_s >= rule.patience:
         return FREED
     row = scenes.road.lanes[vehicle.lane]
     s, _ = local_coordinates(scenes.road, vehicle.lane, vehicle.x, vehicle.y)

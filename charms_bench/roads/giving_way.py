@@ -6,7 +6,8 @@ the vehicle is in it, as long as another one is there, or goes first and would c
 vehicle has left. The first is
 
 1. a vehicle in the junction, then one that can no longer stop, then any other one,
-2. the one whose lane has the right of way, if the map says so,
+2. the one whose lane has the right of way, if the map says so and not both have stood for
+   `UNUSED_S`, such as in a ring of vehicles that give way to each other,
 3. the one that has stood longer or comes earlier: its time to the place less the time for which it
    has stood.
 
@@ -35,6 +36,8 @@ SLOW_MPS, CLEAR_M = 2.0, 14.0
 """Behind a vehicle that is slower and less far beyond a junction, there is no room to leave it."""
 AWAY_M = 12.0
 """A slow vehicle further away from its junction does not drive there yet."""
+UNUSED_S = 10.0
+"""A vehicle that has stood for so long does not use its right of way."""
 HARD_MPS2 = 4.0
 """What a vehicle brakes with that can only just stop."""
 LEAST_MPS, MARGIN_S = 3.0, 1.5
@@ -135,11 +138,12 @@ def give_way(
                     ahead.blocked[i] = ahead.lanes[i, k - 1]
                 break
         ahead.is_held[i] = vehicle.crashed
-        if ahead.counts[i] > 0 and start - LINE_M + MARGIN_M >= braking_way(vehicle):
+        end = ahead.starts[i, 1] if ahead.counts[i] > 1 else -np.inf
+        if end - LINE_M + MARGIN_M >= braking_way(vehicle):
             is_blocked = ahead.blocked[i] == ahead.lanes[i, 0]
             ahead.is_held[i] |= is_blocked or has_red(i, 0, is_red, ahead)
         if vehicle.speed < SLOW_MPS and ahead.counts[i] > 0 and not inside[ahead.lanes[i, 0]]:
-            ahead.is_held[i] |= start > AWAY_M or is_behind(i, ahead)
+            ahead.is_held[i] |= is_behind(i, ahead)
     for i in range(scenes.vehicles.shape[1]):
         scenes.vehicles[b, i].stop_lane = line_lane = -1
         for k in range(ahead.counts[i]):
@@ -255,7 +259,7 @@ def waits(
             continue
         if begins < 0.0:
             return True
-        if begins < comes and not ahead.is_held[j]:
+        if begins < comes and not ahead.is_held[j] and not is_away(scenes, b, j, n, inside, ahead):
             first, their_k, comes = j, n, begins
     if first < 0 or comes > LOOK_M:
         return False
@@ -267,10 +271,19 @@ def waits(
     other_rank = rank_of(other, first, their_k, comes, inside, ahead)
     if rank != other_rank:
         return bool(other_rank > rank)
-    if rank != 1 and meetings.order[c] != UNKNOWN:
+    is_used = min(own.stood_s, other.stood_s) < UNUSED_S
+    if rank != 1 and meetings.order[c] != UNKNOWN and is_used:
         return bool(meetings.order[c] == GIVES_WAY)
     mine, theirs = ahead.turns[i], ahead.turns[first]
     return bool(theirs < mine or (theirs == mine and first < i))
+
+
+@compiled
+def is_away(scenes: Scenes, b: int, j: int, n: int, inside: Ints, ahead: Ahead) -> bool:
+    """Whether a slow vehicle does not yet drive to the junction with lane number n of its way."""
+    while n > 0 and inside[ahead.lanes[j, n - 1]]:
+        n -= 1
+    return bool(scenes.vehicles[b, j].speed < SLOW_MPS and ahead.starts[j, n] > AWAY_M)
 
 
 @compiled

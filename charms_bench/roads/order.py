@@ -213,8 +213,9 @@ def is_on(here: Here, j: int, lane: int) -> bool:
 def comes_past(here: Here, j: int, lane: Row, at: Row) -> bool:
     """Whether vehicle j comes against the direction of a lane, and leaves room on it.
 
-    Beyond the ends of the lane, the lanes that follow say whether there is room. highway-env takes any vehicle up to `NEIGHBOUR_MARGIN_M` beside a lane for one on it. On maps,
-    opposite lanes can be so close that two oncoming vehicles would stop before each other.
+    Beyond the ends of the lane, the lanes that follow say whether there is room. highway-env takes
+    any vehicle up to `NEIGHBOUR_MARGIN_M` beside a lane for one on it. On maps, opposite lanes can
+    be so close that two oncoming vehicles would stop before each other.
     """
     vehicle, heading = vehicle_of(here, j), heading_on(here, lane, at.s)
     x, y = maths.cos(heading), maths.sin(heading)
