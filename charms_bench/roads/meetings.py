@@ -85,6 +85,7 @@ Passing = tuple[tuple[str, str], tuple[float, float], str, str, float]
 def _passing(road: RoadMap) -> Iterator[Passing]:
     """The lanes of junctions that neither cross nor merge, but pass each other too closely.
 
+    If a lane meets the lane behind the other one, the part before belongs to that place.
     With how far along them that is, "passing", nothing about who gives way, and how close it is.
     """
     known = {frozenset(each.lanes) for each in road.conflicts}
@@ -103,7 +104,10 @@ def _passing(road: RoadMap) -> Iterator[Passing]:
             names = one.id, other.id
             follow = one.id in other.successors or other.id in one.successors
             part = bool(starts.get(one.id, set()) & starts.get(other.id, set()))
-            if road_i == road_j or follow or part or frozenset(names) in known:
+            pairs = [names, *((after, other.id) for after in one.successors)]
+            pairs += [(one.id, after) for after in other.successors]
+            is_known = any(frozenset(pair) in known for pair in pairs)
+            if road_i == road_j or follow or part or is_known:
                 continue
             at = _too_close(shapes[i], shapes[j])
             if at is not None:
