@@ -1,5 +1,6 @@
 """`road`: what is in a road map; `drive`: traffic on it."""
 
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,8 +21,8 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.words import counted
 
-MOST_GAPS = 10
-"""The gaps that are listed one by one; `--json` has all."""
+MOST_GAPS = MOST_ROADS = 10
+"""The gaps and the roads that are listed one by one; `--json` has all."""
 
 
 @app.command(rich_help_panel=ROADS)
@@ -63,9 +64,11 @@ def road(
         from charms_bench.report.figures.road_map import draw
 
         save(draw(found), figure)
-    from charms_bench.roads.recorded_scenes import facts_of  # slow to import
+    from charms_bench.maps.joining import joined  # both are slow to import
+    from charms_bench.roads.recorded_scenes import facts_of
 
-    facts = {**found.facts(), "recorded": facts_of(absolute(file))}
+    named = [[each.start, each.end] for each in joined(found).roads if not each.junction]
+    facts = {**found.facts(), "named_roads": named, "recorded": facts_of(absolute(file))}
     if as_json:
         end_with_json(facts)
     records = [{"fact": fact, "found": value} for fact, value in _in_words(facts).items()]
@@ -79,6 +82,10 @@ def road(
     if back := facts["lanes_that_turn_back"]:
         more = f", and {len(back) - MOST_GAPS:,} more" if len(back) > MOST_GAPS else ""
         say(f"Lanes with a kink of more than 90 degrees: {', '.join(back[:MOST_GAPS])}{more}")
+    if named:
+        listed = ", ".join(json.dumps(each, ensure_ascii=False) for each in named[:MOST_ROADS])
+        more = f", and {len(named) - MOST_ROADS:,} more" if len(named) > MOST_ROADS else ""
+        say(f"Roads outside of junctions, by their nodes, for scenarios: {listed}{more}")
     for path in filter(None, (to, figure)):
         say(f"Written: {shown(absolute(path))}")
 
@@ -106,7 +113,7 @@ def drive(
         "collisions": f"{sum(found.crashes.values())} ({kinds or 'none'})",
         "collisions in 1,000 km": f"{found.crashes_per_1000_km:.1f}",
         "left the road": counted(found.off_road, "time"),
-        "stood for 2 minutes and were taken out": counted(found.freed, "vehicle"),
+        "stood for too long and were taken out": counted(found.freed, "vehicle"),
         "left at an end of the road": counted(found.left, "vehicle"),
         "time at standstill": f"{100 * found.standing:.1f} %",
     }

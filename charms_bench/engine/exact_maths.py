@@ -3,6 +3,7 @@
 import os
 import platform
 from collections.abc import Callable, Collection, Iterable
+from functools import cache
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -71,23 +72,35 @@ def use_exact_maths(engine: EngineName, environments: bool = False) -> None:
         return
     if _IS_X86 and os.environ.get(_OPENBLAS) != _CORE_TYPE:
         raise RuntimeError("the engine highway-env needs a process with exact maths")
-    _replace(_MODULES + _ENVIRONMENTS if environments else _MODULES)
+    _replace_in_vehicles()
+    if environments:
+        _replace_in_environments()
+
+
+@cache
+def _replace_in_vehicles() -> None:
+    """Replaces what vehicles and lanes compute with, once."""
+    _replace(_MODULES)
+    spline: Any = import_module("highway_env.road.spline")
+    spline.CurvePose = _of_arrays(spline.CurvePose)
+
+
+@cache
+def _replace_in_environments() -> None:
+    """Replaces what environments compute with, once."""
+    _replace(_ENVIRONMENTS)
+    track: Any = import_module("highway_env.envs.racetrack_env").RacetrackEnv
+    track._rewards = _without_power(track._rewards)
+    keeping: Any = import_module("highway_env.envs.lane_keeping_env").LaneKeepingEnv
+    keeping._reward = _reward_for_keeping_a_lane
+    linear: Any = import_module("highway_env.vehicle.behavior").LinearVehicle
+    linear.steering_features = _of_a_product(linear.steering_features)
 
 
 def _replace(names: Collection[str]) -> None:
-    """Replaces what modules compute with."""
     for name in names:
         replaced = vars(import_module(f"highway_env.{name}"))
         replaced["np"], replaced["sum"] = _numpy, _sum
-    spline: Any = import_module("highway_env.road.spline")
-    spline.CurvePose = _of_arrays(spline.CurvePose)
-    if "envs.racetrack_env" in names:
-        track: Any = import_module("highway_env.envs.racetrack_env").RacetrackEnv
-        track._rewards = _without_power(track._rewards)
-        keeping: Any = import_module("highway_env.envs.lane_keeping_env").LaneKeepingEnv
-        keeping._reward = _reward_for_keeping_a_lane
-        linear: Any = import_module("highway_env.vehicle.behavior").LinearVehicle
-        linear.steering_features = _of_a_product(linear.steering_features)
 
 
 def _sum(numbers: Iterable[Any]) -> Any:

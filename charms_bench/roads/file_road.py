@@ -6,7 +6,7 @@ density and drive to goals that are drawn from those that they can reach; at its
 draws the next one. So does a vehicle that comes to the end of a lane that does not lead on along
 its way. At an end of the road, a vehicle leaves. It comes back at a start, or on any lane of a road
 without starts, as soon as there is space. So do wrecks after `WRECK_S`, and vehicles that have
-stood for `STANDING_S`.
+stood for `STANDING_S` and the longest cycle of the map's lights.
 """
 
 import math
@@ -28,11 +28,10 @@ from charms_bench.roads.giving_way import (
     MOST_AHEAD,
     RED,
     RED_BEFORE,
+    SLOW_MPS,
     Ahead,
-    Meetings,
     give_way,
     look_along,
-    meetings_of,
 )
 from charms_bench.roads.goal_states import have_met
 from charms_bench.roads.inflow import ENTRY_M
@@ -40,6 +39,7 @@ from charms_bench.roads.layout import Edge
 from charms_bench.roads.locating import coordinates_of, forget, locate
 from charms_bench.roads.looking_ahead import BRAKING_MPS2, speed_ahead
 from charms_bench.roads.map_lanes import driven_lanes, indices_of, levels_of, map_of
+from charms_bench.roads.meetings import Meetings, meetings_of
 from charms_bench.roads.recorded_scenes import enter, on_road, put_recorded, scene_of
 from charms_bench.roads.routes import Routes, plan_way, routes_of
 from charms_bench.roads.scenes import (
@@ -48,6 +48,7 @@ from charms_bench.roads.scenes import (
     NOTHING,
     OBSTACLE,
     Here,
+    Row,
     Scenes,
     here_of,
     index_of,
@@ -88,6 +89,8 @@ class Rule(NamedTuple):
     duration: float
     entering_draws: int
     """How often a vehicle that comes back draws a place; 0 if none does."""
+    patience: float
+    """A vehicle that has stood for longer is taken out, s."""
 
 
 class Places(NamedTuple):
@@ -136,12 +139,12 @@ class FileRoad(Task):
         for k, following in enumerate(links):
             for after in following:
                 before[after].append(k)
+        self._lights = _lights(self.map, indices)
         for k in np.nonzero(~is_inside & (road.lanes["length"] < BETWEEN_M))[0].tolist():
             beside = [*links[k], *before[k]]
             inside[k] = bool(links[k] and before[k]) and bool(is_inside[beside].all())
         self.links = links
         self._meetings, self._inside = meetings_of(self.map, indices), inside
-        self._lights = _lights(self.map, indices)
         firsts = np.unique(road.lanes["first"])
         outside = firsts[~is_inside[firsts]]
         goals = outside if outside.size else firsts
@@ -159,6 +162,11 @@ class FileRoad(Task):
         flat = [after for each in links for after in each]
         self._links = np.array(flat, dtype=np.int64)
         self._ends = np.cumsum([len(each) for each in links])
+        self._last = np.full(len(links), np.inf)
+        for k in [k for k, following in enumerate(links) if not following]:
+            along = np.arange(float(road.lanes["length"][k]))
+            wide = [width_at(road, k, s) >= NARROW_M for s in along]
+            self._last[k] = 1.0 + along[wide].max(initial=LINE_M)
         every = np.nonzero(~is_inside)[0] if outside.size else np.arange(road.lanes.size)
         self._everywhere = _places(every, road.lanes["length"])
         starts = np.setdiff1d(every, self._links)
@@ -174,7 +182,8 @@ class FileRoad(Task):
             self.vehicles = self.moments.vehicles.shape[1]
         draws = ENTERING_DRAWS if self.moments is None else 0
         interval, duration = 1 / config["policy_frequency"], min(self.duration, 1e4)
-        self._rule = Rule(self.egos, self.vehicles, interval, duration, draws)
+        patience = STANDING_S + self._lights.cycles.max(initial=0.0)
+        self._rule = Rule(self.egos, self.vehicles, interval, duration, draws, float(patience))
         self.happened = np.zeros((0, 0), dtype=np.int64)
         """(B, N) what happened to each vehicle after the last decision; 0 is nothing."""
 
@@ -248,10 +257,9 @@ class FileRoad(Task):
 
     def _regulate(self, scenes: Scenes, rows: Ints) -> None:
         """Says where vehicles stop."""
-        lists = self._links, self._ends
-        _regulate(
-            scenes, rows, lists, self._meetings, self._inside, self._lights, self._rule.interval
-        )
+        lists, interval = (self._links, self._ends), self._rule.interval
+        places = self._meetings, self._inside, self._lights, self._last
+        _regulate(scenes, rows, lists, *places, interval)
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the road of its goal, as far along as that is.
@@ -487,6 +495,10 @@ def _follow(
             forget(here, i)
             vehicle = scenes.vehicles[b, i]
             happened[b, i] = 0
+            if not is_standing(vehicle):
+                vehicle.stood_s *= abs(vehicle.speed) < SLOW_MPS
+            else:
+                vehicle.stood_s += rule.interval
             if i >= rule.egos and vehicle.kind > OBSTACLE and vehicle.checks_collisions:
                 happened[b, i] = fate(scenes, b, i, rule)
                 if happened[b, i] > 0:
@@ -512,15 +524,18 @@ def _follow(
 
 
 @compiled
+def is_standing(vehicle: Row) -> bool:
+    """Whether a vehicle stands, or is a wreck."""
+    return bool(vehicle.crashed or abs(vehicle.speed) < STANDING_MPS)
+
+
+@compiled
 def fate(scenes: Scenes, b: int, i: int, rule: Rule) -> int:
     """What happens to a vehicle that is there; 0 if it stays."""
     vehicle = scenes.vehicles[b, i]
-    vehicle.stood_s += rule.interval
-    if not (vehicle.crashed or abs(vehicle.speed) < STANDING_MPS):
-        vehicle.stood_s = 0.0
     if vehicle.crashed:
         return CLEARED if vehicle.stood_s >= WRECK_S else 0
-    if vehicle.stood_s >= STANDING_S:
+    if vehicle.stood_s >= rule.patience:
         return FREED
     row = scenes.road.lanes[vehicle.lane]
     s, _ = local_coordinates(scenes.road, vehicle.lane, vehicle.x, vehicle.y)
@@ -580,13 +595,11 @@ def _regulate(
     meetings: Meetings,
     inside: Ints,
     lights: Lights,
+    ends: Floats,
     interval: float,
 ) -> None:
     """Says where the vehicles of the scenes `rows` stop."""
     is_red = np.zeros(scenes.road.lanes.size, dtype=np.int64)
-    ends_here = np.zeros(scenes.road.lanes.size, dtype=np.bool_)
-    for lane in range(ends_here.size):
-        ends_here[lane] = links[1][lane] == (links[1][lane - 1] if lane > 0 else 0)
     count = scenes.vehicles.shape[1]
     ahead = Ahead(
         np.zeros((count, MOST_AHEAD), dtype=np.int64),
@@ -601,7 +614,7 @@ def _regulate(
     for b in rows:
         show_lights(lights, scenes.steps[b] * interval, is_red)
         look_along(scenes, b, links, ahead)
-        give_way(scenes, b, meetings, inside, is_red, ends_here, ahead)
+        give_way(scenes, b, meetings, inside, is_red, ends, ahead)
 
 
 @compiled_of_scenes

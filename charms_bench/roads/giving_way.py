@@ -1,12 +1,13 @@
 """Who goes first where lanes of a road in a file cross or merge, and who stops at a light.
 
-Vehicles look `LOOK_M` along their ways. Two lanes meet from where their centres come closer than
-`CLOSE_M` on. A vehicle stops before the junction, or before that place if there is no junction or
+Vehicles look `LOOK_M` along their ways to the places where lanes meet; see `meetings`. A vehicle
+stops before the junction, or before that place if there is no junction or
 the vehicle is in it, as long as another one is there, or goes first and would come there before the
 vehicle has left. The first is
 
 1. a vehicle in the junction, then one that can no longer stop, then any other one,
-2. the one whose lane has the right of way, if the map says so,
+2. the one whose lane has the right of way, if the map says so and not both have stood for
+   `UNUSED_S`, such as in a ring of vehicles that give way to each other,
 3. the one that has stood longer or comes earlier: its time to the place less the time for which it
    has stood.
 
@@ -21,8 +22,7 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
-from charms_bench.maps.road_map import MapLane, RoadMap
-from charms_bench.maps.sampling import lengths_of
+from charms_bench.roads.meetings import GIVES_WAY, UNKNOWN, Meetings
 from charms_bench.roads.scenes import OBSTACLE, Row, Scenes
 from charms_bench.world.road import local_coordinates
 from charms_bench.world.road_network import Network
@@ -30,42 +30,21 @@ from charms_bench.world.road_network import Network
 LOOK_M = 80.0
 MOST_AHEAD = 8
 """The most lanes of a way that are looked at."""
-CLOSE_M, ROOM_M = 3.2, 1.5
-"""How close the centres of lanes are where they meet, and how far a centre stays from there."""
 LINE_M = 4.0
 """How far before a junction the centre of a vehicle stops."""
 SLOW_MPS, CLEAR_M = 2.0, 14.0
 """Behind a vehicle that is slower and less far beyond a junction, there is no room to leave it."""
 AWAY_M = 12.0
 """A slow vehicle further away from its junction does not drive there yet."""
+UNUSED_S = 10.0
+"""A vehicle that has stood for so long does not use its right of way."""
 HARD_MPS2 = 4.0
 """What a vehicle brakes with that can only just stop."""
 LEAST_MPS, MARGIN_S = 3.0, 1.5
 """With at least this speed, times are predicted; and there is so much between two vehicles."""
 MARGIN_M = 0.5
-REACH_M, STEP_M = 40.0, 0.5
-"""So far around a place, and in such steps, lanes are compared."""
-GIVES_WAY, UNKNOWN, GOES_FIRST = -1, 0, 1
 RED, RED_BEFORE = 1, 2
 """A light at the end of a lane, and one before a lane in a junction."""
-
-
-class Meetings(NamedTuple):
-    """The C places where a lane meets another one, lane after lane; each place is there twice."""
-
-    ends: Ints
-    """(L,) the number of places up to each lane."""
-    other: Ints
-    """(C,) the other lane."""
-    begins: Floats
-    """(C,) from where on a vehicle's centre on the lane is at the place, m along it."""
-    until: Floats
-    """(C,) and up to where."""
-    other_begins: Floats
-    """(C,) the same along the other lane."""
-    other_until: Floats
-    order: Ints
-    """(C,) `GIVES_WAY`, `UNKNOWN` or `GOES_FIRST`."""
 
 
 class Ahead(NamedTuple):
@@ -88,80 +67,6 @@ class Ahead(NamedTuple):
     is_held: Bools
     """[N] whether it does not enter the junction: a wreck, at a red light, without room or in a
     queue."""
-
-
-def meetings_of(road: RoadMap, indices: dict[str, int]) -> Meetings:
-    """Where the lanes of a map meet, by the indices of the lanes."""
-    lanes = {lane.id: lane for lane in road.lanes}
-    lines = _with_parts_before(road)
-    found: list[list[tuple[float, ...]]] = [[] for _ in indices]
-    for each in road.conflicts:
-        one, other = (lanes[name] for name in each.lanes)
-        is_end = each.kind == "merging"
-        both = [
-            (lines[name], lane.length) for name, lane in zip(each.lanes, (one, other), strict=True)
-        ]
-        parts = [_part(*both[k], both[1 - k][0], each.at[k], is_end) for k in (0, 1)]
-        for k in (0, 1):
-            own, across = each.lanes[k], each.lanes[1 - k]
-            order = UNKNOWN
-            if each.gives_way:
-                order = GIVES_WAY if each.gives_way == own else GOES_FIRST
-            found[indices[own]].append((indices[across], *parts[k], *parts[1 - k], order))
-    flat = np.array([each for lane in found for each in lane], dtype=np.float64).reshape(-1, 6)
-    columns = [np.ascontiguousarray(column) for column in flat.T]
-    ends = np.cumsum([len(lane) for lane in found])
-    begins, until, other_begins, other_until = columns[1:5]
-    return Meetings(
-        ends,
-        columns[0].astype(np.int64),
-        begins,
-        until,
-        other_begins,
-        other_until,
-        columns[5].astype(np.int64),
-    )
-
-
-def _with_parts_before(road: RoadMap) -> dict[str, Floats]:
-    """The points (N, 2) of each lane, behind those of the lane that alone leads there in the same
-    junction: a vehicle that waits there can be in the way, too."""
-    junctions = {lane.id: each.junction for each in road.roads for lane in each.lanes}
-    before: dict[str, list[MapLane]] = {}
-    for lane in road.lanes:
-        for after in lane.successors:
-            before.setdefault(after, []).append(lane)
-    found = {}
-    for lane in road.lanes:
-        found[lane.id] = lane.points[:, :2]
-        several = before.get(lane.id, [])
-        if len(several) == 1 and junctions[lane.id] == junctions[several[0].id] != "":
-            found[lane.id] = np.vstack([several[0].points[:-1, :2], lane.points[:, :2]])
-    return found
-
-
-def _part(
-    line: Floats, length: float, other: Floats, at: float, is_end: bool
-) -> tuple[float, float]:
-    """Where a lane is close to another one around a place, with room for half a vehicle, m.
-
-    The lane is the end of its line (N, 2); a place before it is negative.
-    """
-    along = lengths_of(line)
-    along -= along[-1] - length
-    s = np.arange(max(at - REACH_M, along[0]), min(at + REACH_M, length) + STEP_M, STEP_M)
-    s = np.minimum(s, along[-1])
-    x, y = (np.interp(s, along, column) for column in line.T)
-    theirs = lengths_of(other)
-    there = np.arange(0.0, theirs[-1] + STEP_M, STEP_M)
-    other_x, other_y = (np.interp(there, theirs, column) for column in other.T)
-    away = np.hypot(x[:, None] - other_x, y[:, None] - other_y).min(axis=1)
-    first = last = int(np.abs(s - at).argmin())
-    while first > 0 and away[first - 1] < CLOSE_M:
-        first -= 1
-    while last < s.size - 1 and away[last + 1] < CLOSE_M:
-        last += 1
-    return float(s[first] - ROOM_M), float(along[-1] if is_end else s[last] + ROOM_M)
 
 
 @compiled
@@ -211,13 +116,13 @@ def give_way(
     meetings: Meetings,
     inside: Ints,
     is_red: Ints,
-    ends_here: Bools,
+    ends: Floats,
     ahead: Ahead,
 ) -> None:
     """Says where the vehicles of scene b stop.
 
     `inside` (L,) says which lanes are in junctions, `is_red` (L,) which have a red light, `RED` or
-    `RED_BEFORE`, and `ends_here` (L,) which lead to no other lane.
+    `RED_BEFORE`, and `ends` (L,) how far along those that lead to no other lane can be driven, m.
     """
     for i in range(scenes.vehicles.shape[1]):
         vehicle, start = scenes.vehicles[b, i], 0.0
@@ -232,11 +137,13 @@ def give_way(
                 if not has_room(scenes, b, i, k, inside, ahead):
                     ahead.blocked[i] = ahead.lanes[i, k - 1]
                 break
-        ahead.is_held[i] = vehicle.crashed or ahead.blocked[i] == ahead.lanes[i, 0]
-        if has_red(i, 0, is_red, ahead) and start - LINE_M + MARGIN_M >= braking_way(vehicle):
-            ahead.is_held[i] = ahead.counts[i] > 0
+        ahead.is_held[i] = vehicle.crashed
+        end = ahead.starts[i, 1] if ahead.counts[i] > 1 else -np.inf
+        if end - LINE_M + MARGIN_M >= braking_way(vehicle):
+            is_blocked = ahead.blocked[i] == ahead.lanes[i, 0]
+            ahead.is_held[i] |= is_blocked or has_red(i, 0, is_red, ahead)
         if vehicle.speed < SLOW_MPS and ahead.counts[i] > 0 and not inside[ahead.lanes[i, 0]]:
-            ahead.is_held[i] |= start > AWAY_M or is_behind(i, ahead)
+            ahead.is_held[i] |= is_behind(i, ahead)
     for i in range(scenes.vehicles.shape[1]):
         scenes.vehicles[b, i].stop_lane = line_lane = -1
         for k in range(ahead.counts[i]):
@@ -261,9 +168,9 @@ def give_way(
                         stop(scenes, b, i, lane, meetings.begins[c] - MARGIN_M)
             if has_red(i, k, is_red, ahead) and scenes.vehicles[b, i].stop_lane < 0:
                 stop(scenes, b, i, lane, scenes.road.lanes[lane].length - LINE_M)
-            row = scenes.road.lanes[lane]
-            if ends_here[lane] and row.next_count > 0 and scenes.vehicles[b, i].stop_lane < 0:
-                stop(scenes, b, i, lane, row.length - LINE_M)
+            goes_on = scenes.road.lanes[lane].next_count > 0
+            if ends[lane] < np.inf and goes_on and scenes.vehicles[b, i].stop_lane < 0:
+                stop(scenes, b, i, lane, ends[lane] - LINE_M)
             if scenes.vehicles[b, i].stop_lane >= 0:
                 break
 
@@ -352,7 +259,7 @@ def waits(
             continue
         if begins < 0.0:
             return True
-        if begins < comes and not ahead.is_held[j]:
+        if begins < comes and not ahead.is_held[j] and not is_away(scenes, b, j, n, inside, ahead):
             first, their_k, comes = j, n, begins
     if first < 0 or comes > LOOK_M:
         return False
@@ -364,21 +271,32 @@ def waits(
     other_rank = rank_of(other, first, their_k, comes, inside, ahead)
     if rank != other_rank:
         return bool(other_rank > rank)
-    if rank != 1 and meetings.order[c] != UNKNOWN:
+    is_used = min(own.stood_s, other.stood_s) < UNUSED_S
+    if rank != 1 and meetings.order[c] != UNKNOWN and is_used:
         return bool(meetings.order[c] == GIVES_WAY)
     mine, theirs = ahead.turns[i], ahead.turns[first]
     return bool(theirs < mine or (theirs == mine and first < i))
 
 
 @compiled
+def is_away(scenes: Scenes, b: int, j: int, n: int, inside: Ints, ahead: Ahead) -> bool:
+    """Whether a slow vehicle does not yet drive to the junction with lane number n of its way."""
+    while n > 0 and inside[ahead.lanes[j, n - 1]]:
+        n -= 1
+    return bool(scenes.vehicles[b, j].speed < SLOW_MPS and ahead.starts[j, n] > AWAY_M)
+
+
+@compiled
 def rank_of(vehicle: Row, i: int, k: int, enters: float, inside: Ints, ahead: Ahead) -> int:
     """2 in the junction of a place, 1 for a vehicle that can no longer stop before it, otherwise 0.
 
-    The place is on the lane number k of the way of vehicle i.
+    The place is on the lane number k of the way of vehicle i. A vehicle that has passed the line
+    before the junction counts as in it.
     """
     is_inside = True
     for n in range(k + 1):
-        is_inside = is_inside and inside[ahead.lanes[i, n]] > 0
+        is_past = ahead.starts[i, min(n + 1, k)] < LINE_M - MARGIN_M
+        is_inside = is_inside and (inside[ahead.lanes[i, n]] > 0 or (is_past and n < k))
     if is_inside:
         return 2
     return 1 if enters < braking_way(vehicle) else 0

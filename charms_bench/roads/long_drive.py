@@ -39,7 +39,7 @@ class Drive:
     off_road: int = 0
     """How often a vehicle left the road without a collision."""
     freed: int = 0
-    """How many vehicles were taken out because they had stood for `file_road.STANDING_S`."""
+    """How many vehicles were taken out because they had stood for too long; see `file_road`."""
     left: int = 0
     """How many left at an end of the road."""
     standing: float = 0.0

@@ -6,10 +6,12 @@ and in a list, vehicles stand by their position along the lane, and at equal pos
 places. So a question about a vehicle costs the same, however many vehicles there are.
 """
 
+from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled, inlined, row_after
 from charms_bench.roads.locating import (
     are_above,
     coordinates_of,
+    heading_on,
     is_further_beside,
     is_known,
     square_of,
@@ -19,6 +21,9 @@ from charms_bench.roads.scenes import OBSTACLE, Here, Row, lane_of, vehicle_of
 from charms_bench.world.lane_geometry import END_MARGIN_M, POLYLINE
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M
 
+ROOM_M = 0.2
+"""Beside a vehicle in the middle of a lane, there is room for one that comes against it from so
+much further beside."""
 FEW_LISTED = 8
 """So few are asked one after the other."""
 
@@ -199,7 +204,26 @@ def is_on(here: Here, j: int, lane: int) -> bool:
         beside = width_on(here, row, at.s) / 2 + NEIGHBOUR_MARGIN_M
     if not (abs(at.r) <= beside and -END_MARGIN_M <= at.s < row.length + END_MARGIN_M):
         return False
+    if here.constants.looks_ahead and comes_past(here, j, row, at):
+        return False
     return not are_above(here, vehicle_of(here, j).lane, lane)
+
+
+@compiled
+def comes_past(here: Here, j: int, lane: Row, at: Row) -> bool:
+    """Whether vehicle j comes against the direction of a lane, and leaves room on it.
+
+    Beyond the ends of the lane, the lanes that follow say whether there is room. highway-env takes
+    any vehicle up to `NEIGHBOUR_MARGIN_M` beside a lane for one on it. On maps, opposite lanes can
+    be so close that two oncoming vehicles would stop before each other.
+    """
+    vehicle, heading = vehicle_of(here, j), heading_on(here, lane, at.s)
+    x, y = maths.cos(heading), maths.sin(heading)
+    along = x * vehicle.direction_x + y * vehicle.direction_y
+    across = abs(x * vehicle.direction_y - y * vehicle.direction_x)
+    reach = (across * vehicle.length - along * vehicle.width) / 2
+    has_room = abs(at.r) - reach > vehicle.width / 2 + ROOM_M
+    return bool(along < 0.0 and (has_room or at.s < 0.0 or at.s > lane.length))
 
 
 @compiled

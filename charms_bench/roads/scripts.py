@@ -57,6 +57,7 @@ class PlacingOnRoad(Placing):
     def __init__(self, scenario: Any, settings: SceneSettings, values: Any, count: int) -> None:
         super().__init__(scenario, settings, values, count)
         self._layout, self._home = layout_on(settings)
+        self._nodes = {lane: nodes[:2] for nodes, lane in self._layout.lanes.items()}
         self.towards = np.stack([self._way(k, each) for k, each in enumerate(self._starts)])
 
     def _way(self, i: int, vehicle: Any) -> Ints:
@@ -72,7 +73,9 @@ class PlacingOnRoad(Placing):
         first, lanes = road.lanes["first"], road.lanes["lanes"]
         if vehicle.x_m is not None:
             field, begin, way = "x_m", self._first_lane(at, vehicle), self.towards[i]
-            start = begin + self._lane((*at, "lane"), vehicle.lane, lanes[begin])
+            start = begin + self._lane(
+                (*at, "lane"), vehicle.lane, lanes[begin], self._name_of(begin)
+            )
             along = self.within((*at, "x_m"), vehicle.x_m, -np.inf, np.inf)
         elif vehicle.road is not None:
             raise ScenarioError((*at, "road"), "the gap says where the vehicle is; remove one")
@@ -84,9 +87,27 @@ class PlacingOnRoad(Placing):
         what = "off the road, {:g} m from the start of its last lane; expected a smaller distance"
         self._check((*at, field), ~((s >= 0) & (s <= road.lanes["length"][where])), what, s)
         if field == "gap_m":
-            number = self._lane((*at, "lane"), vehicle.lane, lanes[where])
+            named = self._name_of(int(where[0])) if np.ptp(where) == 0 else "its road"
+            number = self._lane((*at, "lane"), vehicle.lane, lanes[where], named)
             where, s = beside(road, where, s, first[where] + number)
         made.lane[:, i], made.x[:, i] = where, s
+        self._check_destination(i, at, where)
+
+    def _check_destination(self, i: int, at: Location, lanes: Ints) -> None:
+        """Rejects a destination to which no way leads from the lanes (R,) of vehicle i."""
+        destination = self._starts[i].destination
+        for lane in np.unique(lanes).tolist() if destination is not None else ():
+            start, end = self._nodes[lane]
+            if end == destination or (start != destination and self.towards[i][lane] >= 0):
+                continue
+            what = f"no way leads from road [{start}, {end}] to '{destination}'"
+            if start == destination:
+                what = f"'{destination}' is where the vehicle's own road [{start}, {end}] starts"
+            raise ScenarioError((*at, "destination"), f"{what}; expected a node ahead of it")
+
+    def _name_of(self, lane: int) -> str:
+        """The road of a lane, as a scenario names it."""
+        return "road [{}, {}]".format(*self._nodes[lane])
 
     def _first_lane(self, at: Location, vehicle: Any) -> int:
         """The first lane of the road on which a vehicle is placed."""

@@ -206,7 +206,8 @@ def drive_scenes(
     """Lets a suite's egos drive in CommonRoad scenarios, among its first traffic model.
 
     Raises:
-        InputError: The suite has roads, or its scene says where vehicles are.
+        InputError: The suite has roads, its scene says where vehicles are, or its profile has a
+            lowest speed, at which no vehicle can stop on streets.
         MapError: A file cannot be read.
         DataError: Egos can take the place of recorded vehicles in too few of the files.
     """
@@ -214,6 +215,12 @@ def drive_scenes(
 
     if suite.roads:
         raise InputError("likeness in recorded scenes has their roads; expected a suite without")
+    low, high = speeds_of(profile := suite.scene.profile)
+    if low > 0:
+        raise InputError(
+            f"scene.profile: '{profile.name}' has speeds of {low:g} to {high:g} m/s, so no vehicle "
+            "can stop in a scene; expected a profile from 0 m/s on, such as 'roads'"
+        )
     traffic = suite.traffics[0].traffic.make()
     first = _agents(suite, suite.egos[0].agent, traffic)
     drivers: dict[tuple[str, str], tuple[str, Traffic, dict[str, Agent], int]] = {

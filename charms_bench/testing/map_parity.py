@@ -3,7 +3,7 @@
 from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,8 @@ class _Compare:
     def __call__(self, path: Path, seeds: range) -> Comparison:
         """Compares episodes with highway-env as it computes in this process."""
         ours = OwnRoad(path, self._vehicles)
+        ours.start(0)
+        ours.advance(1)  # compiles
         road = NamedRoad.model_validate({"file": path})
         network = stock_network(driven_lanes(map_of(path, str(road.sha256))))
         names = [*network.lanes_dict()]
@@ -66,8 +68,12 @@ class _Compare:
             stock = stock_road(ours, network, names)
             found.episodes += 1
             for second in range(self._seconds):
+                began = process_time()
                 ours.advance(1)
+                between = process_time()
                 advance_stock(stock, HZ)
+                found.own_s += between - began
+                found.stock_s += process_time() - between
                 found.decisions += 1
                 apart, what = _apart(stock, ours, names)
                 found.largest = max(found.largest, apart)
@@ -188,22 +194,3 @@ def _apart(stock: Any, ours: OwnRoad, names: list[Any]) -> tuple[float, str]:
     apart = {what: difference(*pair) for what, pair in pairs.items()}
     what = max(apart, key=lambda name: apart[name])
     return apart[what], f"{what}: {pairs[what][0]!r} (ours), {pairs[what][1]!r} (highway-env)"
-
-
-def speed_ratio(path: Path, vehicles: int, seconds: int, seed: int = 0) -> tuple[float, float]:
-    """The seconds that a run and highway-env take for the same work, on one thread."""
-    ours = OwnRoad(path, vehicles)
-    road = NamedRoad.model_validate({"file": path})
-    network = stock_network(driven_lanes(map_of(path, str(road.sha256))))
-    ours.start(seed)
-    stock = stock_road(ours, network, [*network.lanes_dict()])
-    before = perf_counter()
-    advance_stock(stock, HZ * seconds)
-    theirs = perf_counter() - before
-    took = []
-    for _ in range(10):
-        ours.start(seed)
-        before = perf_counter()
-        ours.advance(seconds)
-        took.append(perf_counter() - before)
-    return min(took), theirs

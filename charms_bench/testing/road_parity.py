@@ -40,13 +40,17 @@ class Comparison:
     """The largest difference of a number, also between rewards and between observations."""
     largest_at_start: float = 0.0
     """The same, of the starts of episodes alone."""
+    own_s: float = 0.0
+    """The CPU time of charms-bench for what was compared, s, where it is measured."""
+    stock_s: float = 0.0
+    """The same of highway-env."""
     differing: list[str] = field(default_factory=list)
     """The first difference of each episode that has one above the tolerance."""
 
     def __add__(self, other: "Comparison") -> "Comparison":
         sums = {
             name: getattr(self, name) + getattr(other, name)
-            for name in ("episodes", "decisions", "crashed", "differing")
+            for name in ("episodes", "decisions", "crashed", "own_s", "stock_s", "differing")
         }
         largest = {
             name: max(getattr(self, name), getattr(other, name))

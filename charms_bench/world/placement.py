@@ -257,13 +257,19 @@ class Placing:
     def _y_of(self, lane: NDArray[np.int64]) -> Floats:
         return np.asarray(position(self._road, lane, 0.0, 0.0)[1])
 
-    def _lane(self, at: Location, formula: Formula, lanes: Any) -> NDArray[np.int64]:
+    def _lane(
+        self, at: Location, formula: Formula, lanes: Any, road: str = "the road"
+    ) -> NDArray[np.int64]:
         """The lanes (R,) of a road with so many lanes, which can be (R,) too."""
         last = np.broadcast_to(lanes, (self._count,)) - 1
         lane = self._value(at, formula)
         is_wrong = ~((lane == np.floor(lane)) & (lane >= 0) & (lane <= last))
-        expected = f"expected a whole number from 0 to {last[is_wrong.argmax()]}"
-        self._check(at, is_wrong, f"lane {{:g}} is not on the road; {expected}", lane)
+        most = last[is_wrong.argmax()]
+        expected = (
+            f"expected a whole number from 0 to {most}" if most else "expected 0, its only lane"
+        )
+        named = road.replace("{", "{{").replace("}", "}}")
+        self._check(at, is_wrong, f"lane {{:g}} is not on {named}; {expected}", lane)
         return np.asarray(lane.astype(np.int64))
 
     def within(self, at: Location, formula: Formula, low: float, high: float) -> Floats:

@@ -15,6 +15,7 @@ def test_a_map_is_described_drawn_and_written(tmp_path: Path) -> None:
     assert "8, 1.66 lane-km" in done.stdout
     assert "1 of type 'shoulder'" in done.stdout
     assert "0 crossing and 1 merging" in done.stdout
+    assert 'by their nodes, for scenarios: ["0", "1"], ["2", "1"], ["1", "3"], ' in done.stdout
     assert done.stdout.endswith("Written: ramp.json\nWritten: ramp.png\n")
     assert (tmp_path / "ramp.png").read_bytes().startswith(b"\x89PNG")
     of_map, of_file = (

@@ -11,6 +11,7 @@ PROGRAM = """
 import os
 os.environ["OPENBLAS_CORETYPE"] = "Nehalem"
 import numpy as np
+from highway_env.road import spline
 from highway_env.vehicle import behavior, controller, kinematics, objects
 from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.foundation import maths
@@ -28,6 +29,8 @@ for module in (behavior, controller, kinematics, objects):
     assert module.np.power(0.3, 4.1) == maths.power(0.3, 4.1)
     assert module.np.power(0.3, 2) == 0.3 * 0.3
     assert module.np.sqrt is np.sqrt
+use_exact_maths("highway-env")  # a worker does so before each of its tasks
+assert spline.CurvePose(0.0, 0.0, 3.0, 4.0).normal.tolist() == [0.6, 0.8]
 """
 
 

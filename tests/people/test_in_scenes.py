@@ -83,3 +83,10 @@ def test_recordings_need_a_population_and_scenes_have_none(tmp_path: Path) -> No
     called = charms_bench("likeness", "likeness", tmp_path, "--population", "i24")
     assert called.returncode == 2
     assert "CommonRoad scenarios" in called.stderr
+
+
+def test_a_profile_in_which_no_vehicle_can_stop_is_rejected(tmp_path: Path) -> None:
+    (tmp_path / "a.xml").touch()
+    called = charms_bench("likeness", "likeness", tmp_path)
+    assert called.returncode == 2
+    assert "'charms' has speeds of 22 to 33 m/s" in called.stderr.replace("\n", " ")

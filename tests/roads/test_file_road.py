@@ -1,6 +1,5 @@
 """Vehicles on a road in a file: where they start and go, lights, levels, and long drives."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ from charms_bench.errors import InputError
 from charms_bench.maps.reading import read_road
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.file_road import NEAREST_M, FileRoad
-from charms_bench.roads.giving_way import meetings_of
 from charms_bench.roads.long_drive import long_drive
 from charms_bench.roads.map_lanes import levels_of, map_of
 from charms_bench.roads.scenes import IDM, OBSTACLE, place
@@ -117,29 +115,3 @@ def test_a_file_that_has_changed_is_not_driven_on(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes() + b"\n")
     with pytest.raises(InputError, match=r"town\.json: the road has changed since"):
         map_of(path, str(road.sha256))
-
-
-def test_a_place_where_lanes_meet_begins_on_the_part_of_the_lane_before(tmp_path: Path) -> None:
-    ends = [("in", 0, 50, ""), ("first", 50, 60, "J"), ("second", 60, 80, "J")]
-    roads = [
-        {
-            "start": name,
-            "end": after,
-            "junction": junction,
-            "lanes": [
-                {"id": name, "kind": "straight", "start": [x, 0], "end": [end, 0]}
-                | ({"successors": [after]} if after != "end" else {})
-            ],
-        }
-        for (name, x, end, junction), after in zip(ends, ("first", "second", "end"), strict=True)
-    ]
-    across = {"id": "across", "kind": "straight", "start": [55, -3], "end": [75, 3]}
-    roads.append({"start": "s", "end": "t", "junction": "J", "lanes": [across]})
-    meet = {"lanes": ["second", "across"], "at": [5, 10.44], "kind": "crossing"}
-    path = tmp_path / "road.json"
-    path.write_text(json.dumps({"charms_bench_road": 1, "roads": roads, "conflicts": [meet]}))
-    road = read_road(path)
-    found = meetings_of(road, {lane.id: k for k, lane in enumerate(road.lanes)})
-    # At x = 54 m, the start of the other lane is hypot(1, 3) = 3.16 m away, at 53.5 m 3.35 m, and
-    # lanes are close below 3.2 m. A centre stays 1.5 m away: from 52.5 m on, 7.5 m before "second".
-    assert found.begins[found.other == 3].tolist() == [-7.5]

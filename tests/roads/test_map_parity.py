@@ -9,21 +9,22 @@ from charms_bench.testing.road_parity import Comparison
 
 MAPS = Path(__file__).parents[3] / "shared" / "data" / "maps"
 PLACES = Path(__file__).parents[2] / "suites" / "places"
-SOME = (
-    "opendrive/carla_town01.xodr",
-    "opendrive/carla_town04.xodr",
-    "opendrive/esmini_curves.xodr",
-    "opendrive/esmini_e6mini.xodr",
-    "opendrive/esmini_fabriksgatan.xodr",
-    "opendrive/esmini_multi_intersections.xodr",
-    "sumo/cloverleaf.net.xml",
-    "sumo/crossing_4lane.net.xml",
-    "sumo/mcity.net.xml",
-    "sumo/merge_3lane.net.xml",
-    "sumo/roundabout_2lane.net.xml",
-    "commonroad/DEU_A9-3_1_T-1.xml",
-)
-"""Motorways, ramps, towns and a roundabout, in three formats."""
+SOME = {
+    "opendrive/carla_town01.xodr": 5,
+    "opendrive/carla_town04.xodr": 3,
+    "opendrive/esmini_curves.xodr": 5,
+    "opendrive/esmini_e6mini.xodr": 3,
+    "opendrive/esmini_fabriksgatan.xodr": 5,
+    "opendrive/esmini_multi_intersections.xodr": 5,
+    "sumo/cloverleaf.net.xml": 5,
+    "sumo/crossing_4lane.net.xml": 10,
+    "sumo/mcity.net.xml": 5,
+    "sumo/merge_3lane.net.xml": 15,
+    "sumo/roundabout_2lane.net.xml": 10,
+    "commonroad/DEU_A9-3_1_T-1.xml": 3,
+}
+"""Motorways, ramps, towns and a roundabout, in three formats, with so many vehicles that
+highway-env takes up to 10 s for an episode."""
 
 
 def test_a_roundabout_of_polylines_and_arcs_is_that_of_highway_env() -> None:
@@ -33,7 +34,7 @@ def test_a_roundabout_of_polylines_and_arcs_is_that_of_highway_env() -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not MAPS.is_dir(), reason="needs ../shared/data/maps, road maps")
-@pytest.mark.parametrize("name", SOME)
-def test_100_episodes_on_a_map_are_those_of_highway_env(name: str) -> None:
-    found = sum(verify_map(MAPS / name, 100), Comparison(name))
+@pytest.mark.parametrize(("name", "vehicles"), SOME.items())
+def test_100_episodes_on_a_map_are_those_of_highway_env(name: str, vehicles: int) -> None:
+    found = sum(verify_map(MAPS / name, 100, vehicles), Comparison(name))
     assert (found.episodes, found.differing, found.largest) == (100, [], 0.0)

@@ -150,9 +150,11 @@ def test_a_gap_is_measured_along_the_lanes_of_the_way() -> None:
 @pytest.mark.parametrize(
     ("ego", "vehicle", "what"),
     [
-        ({}, {"lane": 7}, "lane 7 is not on the road; expected a whole number from 0 to 1"),
+        ({}, {"lane": 7}, r"lane 7 is not on road \[a, b\]; expected a whole number from 0 to 1"),
         ({"road": ["a", "x"]}, {}, r"no road \[a, x\].*Known: \[a, b\]"),
         ({"destination": "z"}, {}, "no node named 'z'"),
+        ({"destination": "j"}, {}, r"no way leads from road \[a, b\] to 'j'"),
+        ({"destination": "a"}, {}, r"'a' is where the vehicle's own road \[a, b\] starts"),
         ({}, {"road": ["j", "k"]}, "the gap says where the vehicle is"),
         ({}, {"gap_m": 5000}, "off the road"),
         ({}, {"gap_m": -4}, "overlaps 'ego': 1 m between their centres; expected at least 5 m"),
