@@ -119,14 +119,14 @@ class Run:
             if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title):
                 first.setdefault(cell.ego.title, index)
         found = []
-        for name, index in first.items():
+        for index in first.values():
             rows = self._finished.cell(index)
             steps, cell = (steps for _, steps in islice(rows.parts, 1)), cells[index]
             identity = self.manifest.get("agents", {}).get(cell.ego.agent.origin, {})
             actions = actions_described(identity.get("actions", "meta"))
             lanes = cell.scene.lanes if cell.road is None else None
             if said := missing_lanes(steps, lanes, actions).remark():
-                found.append(f"{name} in {rows.traffic}: {said}")
+                found.append(f"{cell.title}: {said}")
         return [*found, MEANING] if found else []
 
     def interfaces(self) -> list[str]:
