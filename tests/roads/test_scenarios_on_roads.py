@@ -188,7 +188,7 @@ def test_the_straight_road_has_no_nodes() -> None:
 
 
 def test_a_recorded_start_and_several_egos_leave_no_place_for_a_scenario() -> None:
-    with pytest.raises(InputError, match="a scenario places all vehicles; remove all egos but one"):
+    with pytest.raises(InputError, match="a scenario has one ego, and the road 2"):
         settings_of("intersection-multi-agent-v1", [LEADER])
 
 
