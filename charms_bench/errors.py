@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 
+ALL_METRICS = "`charms-bench show RUN --all` (docs/metrics.md)"
+"""Where users find the names of metrics."""
+_FEW, _NEAR = 20, 6
+"""Names of a list that is printed whole, and of one that is not."""
 TEXT_LIMIT = 500
 """Most characters of the text of a plugin's exception."""
 PLUGIN_ERRORS = (Exception, SystemExit)
@@ -125,13 +129,21 @@ def named(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def suggestion(name: str, known: Mapping[str, object]) -> str:
-    """The known names, and the one that a misspelt name probably means."""
+def suggestion(name: str, known: Mapping[str, object], listed: str = "") -> str:
+    """The known names, and the one that a misspelt name probably means.
+
+    If there are too many to read, only the nearest ones; `listed` says where all are listed.
+    """
     longer = [each for each in known if name and each.startswith(f"{name}_")]
     folded = {each.casefold(): each for each in known}
     close = longer or [folded[each] for each in get_close_matches(name.casefold(), folded, n=1)]
     hint = f"Did you mean '{close[0]}'? " if close else ""
-    return f"{hint}Known: {', '.join(known) or 'none'}."
+    if not listed or len(known) <= _FEW:
+        return f"{hint}Known: {', '.join(known) or 'none'}."
+    near = [each for each in known if name and name.casefold() in each.casefold()]
+    near += [folded[each] for each in get_close_matches(name.casefold(), folded, _NEAR, cutoff=0.4)]
+    nearest = ", ".join(list(dict.fromkeys([*close, *near]))[:_NEAR])
+    return f"{hint}{f'Nearest: {nearest}. ' * bool(nearest)}{listed} has all {len(known)}."
 
 
 def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:

@@ -119,14 +119,14 @@ class Run:
             if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title):
                 first.setdefault(cell.ego.title, index)
         found = []
-        for name, index in first.items():
+        for index in first.values():
             rows = self._finished.cell(index)
             steps, cell = (steps for _, steps in islice(rows.parts, 1)), cells[index]
             identity = self.manifest.get("agents", {}).get(cell.ego.agent.origin, {})
             actions = actions_described(identity.get("actions", "meta"))
             lanes = cell.scene.lanes if cell.road is None else None
             if said := missing_lanes(steps, lanes, actions).remark():
-                found.append(f"{name} in {rows.traffic}: {said}")
+                found.append(f"{cell.title}: {said}")
         return [*found, MEANING] if found else []
 
     def interfaces(self) -> list[str]:
@@ -326,6 +326,7 @@ class Run:
         ego: str | None = None,
         traffic: str | None = None,
         road: str | None = None,
+        ego_index: int = 0,
     ) -> "WhatIf":
         """An episode, and the same episode with another agent driving a vehicle from a decision on.
 
@@ -337,6 +338,7 @@ class Run:
             ego: The recorded ego.
             traffic: The traffic.
             road: The road.
+            ego_index: Which of several egos; it is vehicle 0.
 
         Raises:
             InputError: There is no such decision, vehicle or agent.
@@ -344,9 +346,8 @@ class Run:
         from charms_bench.api.shown import ShownWhatIf
         from charms_bench.episodes.what_if import what_if
 
-        return ShownWhatIf.of(
-            what_if(self._cell(ego, traffic, road), episode, step, agent, vehicle)
-        )
+        cell = self._cell(ego, traffic, road, ego_index)
+        return ShownWhatIf.of(what_if(cell, episode, step, agent, vehicle))
 
     def avoidability(
         self,
@@ -355,16 +356,18 @@ class Run:
         traffic: str | None = None,
         budget: int | None = None,
         road: str | None = None,
+        ego_index: int = 0,
     ) -> "list[Avoidability]":
         """Until when collisions of the ego could have been avoided, and by which agents.
 
         Args:
             episodes: Seeds of episodes of one cell that end with such a collision; by default all
-                of them, in all cells.
+                of them, of all egos in all cells.
             ego: The ego.
             traffic: The traffic.
             budget: The most decisions to simulate in the search for one collision's escape.
             road: The road.
+            ego_index: Which of several egos collides in these episodes.
 
         Raises:
             InputError: An episode does not end with a collision.
@@ -380,7 +383,7 @@ class Run:
             cells = find_cells(self._finished, self._suite_folder, ego, traffic, road)
             asked = [(cell, collisions(cell)) for cell in cells]
         else:
-            asked = [(self._cell(ego, traffic, road), list(episodes))]
+            asked = [(self._cell(ego, traffic, road, ego_index), list(episodes))]
         with progress("collisions", sum(len(seeds) for _, seeds in asked)) as tell:
             for cell, seeds in asked:
                 done = partial(tell, cell.cell.ego.title)

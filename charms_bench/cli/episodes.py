@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 Episode = Annotated[
     int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
 ]
+EgoIndex = Annotated[
+    int, typer.Option(min=0, help="Which of several egos, as in `edge-cases`; it is vehicle 0.")
+]
 
 
 @app.command(rich_help_panel=FAILURES)
@@ -148,14 +151,15 @@ def _print_avoidability(opened: "Run", cases: "list[EdgeCase]", budget: int, as_
     """Prints what could have been done about collisions of the egos."""
     from charms_bench.report.avoidability_table import avoidability_table, rescuers_table
 
-    cells: dict[tuple[str, str, str | None], list[int]] = {}
+    cells: dict[tuple[str, str, str | None, int], list[int]] = {}
     for case in cases:
         if case.ending != "off_road":
-            cells.setdefault((case.ego, case.traffic, case.road), []).append(case.episode)
+            at = case.ego, case.traffic, case.road, case.ego_index or 0
+            cells.setdefault(at, []).append(case.episode)
     found = [
         each
-        for (ego, around, road), episodes in cells.items()
-        for each in opened.avoidability(episodes, ego, around, budget, road)
+        for (ego, around, road, ego_index), episodes in cells.items()
+        for each in opened.avoidability(episodes, ego, around, budget, road, ego_index)
     ]
     if as_json:
         end_with_json([asdict(each) for each in found])
@@ -173,7 +177,7 @@ def replay(
     ego: EgoLabel = None,
     road: RoadLabel = None,
     traffic: TrafficLabel = None,
-    ego_index: int = typer.Option(0, min=0, help="Which of several egos, as in `edge-cases`."),
+    ego_index: EgoIndex = 0,
     output: Path | None = typer.Option(
         None,
         metavar="OUT.gif",
@@ -249,6 +253,7 @@ def what_if(
     ),
     road: RoadLabel = None,
     traffic: TrafficLabel = None,
+    ego_index: EgoIndex = 0,
     output: Path | None = typer.Option(
         None, metavar="OUT.html", help="File of the page with the replay."
     ),
@@ -266,10 +271,11 @@ def what_if(
         check_page(output)
         output = absolute(output)
     opened = charms_bench.open_run(run, suite_folder)
-    found = opened.what_if(episode, at, other, vehicle, ego, traffic, road)
+    found = opened.what_if(episode, at, other, vehicle, ego, traffic, road, ego_index)
     seat = "ego" if found.vehicle == found.recorded.ego else str(found.vehicle)
     cell = name_of(opened.suite, found.recorded.cell)
-    name = f"{cell}-{episode}-{seat}-{name_of_agent(other)}-from-{at}.html"
+    which = "" if found.recorded.ego_index is None else f"-ego-{ego_index}"
+    name = f"{cell}-{episode}{which}-{seat}-{name_of_agent(other)}-from-{at}.html"
     page = output or opened.path / "replays" / name
     write_what_if(found, page)
     recorded, instead = found.sentences()

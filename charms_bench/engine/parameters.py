@@ -28,6 +28,8 @@ def set_parameters(episodes: RunningEpisodes, rows: Ints, places: Ints | None = 
         return
     settings, seeds, scene = episodes.settings, episodes.seeds[rows], episodes.scene
     at, is_ego = vehicles_at(scene, rows, places)
+    if episodes.engine.egos > 1:
+        is_ego = np.broadcast_to(at[1] < episodes.engine.egos, is_ego.shape)
     entry, drivers = scene.entry[at], episodes.engine.drivers[at]
     kinds, of_vehicles = draw_types(settings, seeds, entry, is_ego)
     types = (*settings.vehicle_types, VehicleType(name="profile", share=1.0))

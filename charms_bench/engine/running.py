@@ -140,12 +140,6 @@ class RunningEpisodes:
         self.prescribed = [k for k, name in enumerate(self.agents) if name == PRESCRIBED]
         of_agents = models, continuous, memory, self.prescribed, self.own_actions, self.policies
         self.engine = make_engine(engine, settings, scenes, *of_agents)
-        if self.engine.egos > 1 and not (ego and tuple(traffic.agents) == (PRESCRIBED,)):
-            raise InputError(
-                f"on the road '{settings.network}', {self.engine.egos} egos drive among the "
-                "vehicles that the road has itself; expected an agent for them, and `traffic: "
-                "environment`. Your program drives them in RoadParallelEnv"
-            )
 
     @property
     def scene(self) -> Scene:

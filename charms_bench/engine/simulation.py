@@ -77,6 +77,11 @@ class Simulation(RunningEpisodes):
         seeds only decide what the traffic, types and drivers' parameters draw.
         """
         rows = np.arange(self.seeds.size) if rows is None else rows
+        if self.engine.egos > 1 and not self.ego_agent:
+            raise InputError(
+                f"{self.engine.egos} egos drive on the road '{self.settings.network}', and Ego-v0 "
+                "has one; your program drives several in RoadParallelEnv"
+            )
         self.seeds[rows] = seeds
         seats = np.empty((rows.size, self.settings.vehicles), dtype=np.int64)
         seats[:, 0] = self.agents.index(self.ego_agent)

@@ -24,6 +24,7 @@ from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import AGENTS, make_agent, plugins
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.recording.columns import of_ego
 from charms_bench.runs.cells import title_of
 from charms_bench.world.action_texts import described_actions
 from charms_bench.world.actions import Actions, MetaAction, meta_actions_of
@@ -83,18 +84,22 @@ class Avoidability:
     """Decisions that the search simulated."""
     road: str | None = None
     """Title of the road; None for the straight road of the scene."""
+    ego_index: int | None = None
+    """Which of several egos; None if there is one."""
 
     def __repr__(self) -> str:
         around = title_of([*filter(None, (self.road, self.traffic))])
-        where = f"{self.ego} in {around}, episode {self.episode}"
+        which = "" if self.ego_index is None else f" ego {self.ego_index},"
+        where = f"{self.ego} in {around},{which} episode {self.episode}"
         last = "" if self.last_step is None else f", last avoidable at decision {self.last_step}"
         return f"<Avoidability of {where}, collision in decision {self.step}: {self.verdict}{last}>"
 
 
 def collisions(cell: RecordedCell) -> list[int]:
     """The seeds of a cell's episodes that end with a collision of the ego."""
-    episodes = cell.rows.episodes.filter(pl.col("ending").is_in(["rear_end", "side"]))
-    return [int(seed) for seed in episodes["episode"]]
+    episodes = of_ego(cell.rows.episodes, cell.ego_index)
+    collided = episodes.filter(pl.col("ending").is_in(["rear_end", "side"]))
+    return [int(seed) for seed in collided["episode"]]
 
 
 def avoidability(
@@ -159,7 +164,6 @@ class _Chunk:
 
     def __init__(self, cell: RecordedCell, episodes: Sequence[int], budget: int) -> None:
         self._budget, scene = budget, cell.cell.scene
-        cell.check_one_ego()
         self._replays = replay(cell, episodes)
         for each in self._replays:
             if each.ending not in ("rear_end", "side"):
@@ -223,6 +227,7 @@ class _Chunk:
                     replacement=self._replacement(episode, overridden),
                     nodes=nodes,
                     road=each.cell.road.title if each.cell.road else None,
+                    ego_index=each.ego_index,
                 )
             )
         return found

@@ -94,10 +94,8 @@ class RecordedCell:
                 its agent's meta-actions, or if it has none, highway-env's.
 
         Raises:
-            InputError: A guest cannot drive on the road of the cell, or instead of one of its egos.
+            InputError: A guest cannot drive on the road of the cell.
         """
-        if guests or is_ego_outside:
-            self.check_one_ego()
         cell, networks, traffic = self.cell, self.networks, self.cell.traffic.traffic.make()
         agents = {driver.key: driver.make(networks) for driver in self.drivers}
         if guests or is_ego_outside:
@@ -119,14 +117,6 @@ class RecordedCell:
         )
         simulation.engine.ego_index = self.ego_index
         return simulation
-
-    def check_one_ego(self) -> None:
-        """Raises an `InputError` if several egos drive in its episodes."""
-        if self.egos > 1:
-            raise InputError(
-                f"{self.cell.title}: several egos drive in its episodes; expected a road with one "
-                "ego where another agent takes over"
-            )
 
     def steps(self, episodes: Sequence[int]) -> pl.DataFrame:
         """The step rows of these episodes in the run folder; raises a `RunFolderError`."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.collision_kinds import vehicle_hit
+from charms_bench.engine.collision_kinds import REAR_END_COS, vehicle_hit
 from charms_bench.episodes.criticality import Kind, criticality
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
@@ -130,6 +130,10 @@ def _collision(replay: Replay, _: int) -> tuple[str, int | None]:
     x, y, speed = replay.x[frame], replay.y[frame], replay.speed[frame]
     other, _ = vehicle_hit(x, y, replay.length[frame], replay.width[frame], ego)
     faster = speed[ego] - speed[other]
+    if replay.ending == "rear_end" and x[other] > x[ego] and -speed[other] > max(speed[ego], 0):
+        return f"was hit by vehicle {other}, which reversed at {-speed[other]:z.1f} m/s", frame
+    if replay.ending == "rear_end" and x[other] < x[ego] and -speed[ego] > max(speed[other], 0):
+        return f"reversed into vehicle {other} at {-speed[ego]:z.1f} m/s", frame
     if replay.ending == "rear_end" and x[other] > x[ego]:
         how = f"at {speed[ego]:z.1f} m/s, {_faster(faster)} than it"
         return f"hit vehicle {other} from behind {how}", frame
@@ -137,6 +141,13 @@ def _collision(replay: Replay, _: int) -> tuple[str, int | None]:
         how = f"at {speed[other]:z.1f} m/s, {_faster(-faster)} than the ego"
         return f"was hit from behind by vehicle {other} {how}", frame
     side = _side(y[other] - y[ego])
+    turned = replay.heading[frame, other] - replay.heading[frame, ego]
+    if np.cos(turned) < -REAR_END_COS:
+        how = f"which came the other way at {speed[other]:z.1f} m/s"
+        return f"collided with vehicle {other}, {how}", frame
+    if np.cos(turned) < REAR_END_COS:
+        how = f"which came from the {_side(-np.sin(turned))} at {speed[other]:z.1f} m/s"
+        return f"collided with vehicle {other}, {how}", frame
     to_the_right = speed * np.sin(replay.heading[frame])
     towards = np.sign(y[other] - y[ego]) * to_the_right
     if max(towards[ego], -towards[other]) <= DRIFT_MPS:

@@ -31,11 +31,12 @@ COLUMNS = (
 def avoidability_table(found: Sequence[Avoidability], settings: SceneSettings) -> Table:
     """The table, with counts of the verdicts in its note."""
     road = ("road",) if any(each.road for each in found) else ()
+    which = ("ego_index",) if any(each.ego_index is not None for each in found) else ()
     return Table.from_records(
         [_record(each, settings) for each in found],
         "avoidability",
         "Which collisions could have been avoided",
-        ("agent", *road, "traffic", "episode"),
+        ("agent", *road, "traffic", *which, "episode"),
         COLUMNS,
         note=in_words(found),
     )
@@ -84,6 +85,7 @@ def _record(each: Avoidability, settings: SceneSettings) -> dict[str, object]:
         "agent": each.ego,
         "road": each.road,
         "traffic": each.traffic,
+        "ego_index": each.ego_index,
         "episode": each.episode,
         "collided_s": each.collided_s,
         "escape": each.verdict,

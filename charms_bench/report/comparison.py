@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.errors import InputError, suggestion
+from charms_bench.errors import ALL_METRICS, InputError, suggestion
 from charms_bench.metrics import MetricSet
 from charms_bench.metrics.labels import set_label_of
 from charms_bench.report.definitions import installed_column
@@ -62,7 +62,8 @@ def compare(
     known = {metric.name: metric for _, metric in every}
     for name in only:
         if name not in known:
-            raise InputError(f"no metric named '{name}'. {suggestion(name, known)}")
+            said = suggestion(name, known, ALL_METRICS)
+            raise InputError(f"no metric named '{name}'. {said}")
     chosen = [(label, metric) for label, metric in every if not only or metric.name in only]
     metrics = [metric for _, metric in chosen]
     keys = WITH_ROAD if pairs[0][0].road else KEYS
@@ -95,6 +96,13 @@ def compare(
         f"for {len(apart)} tests by Holm's method, is below 0.05. detectable: the "
         f"{COLUMNS[4].definition}. Episodes: {episodes}."
     )
+    numbers = [record["difference"] for record in records if not record["difference"].marked]
+    if alone := sum((each.low or 0) > 0 or (each.high or 0) < 0 for each in numbers):
+        note += (
+            f" Not marked, although the interval is without 0: {alone}. An interval is that of one "
+            "test, and some of many tests differ by chance. For fewer tests, choose the metrics "
+            "before you look (--metric; in Python: metrics)."
+        )
     title = "First agent minus second"
     return Table.from_records(records, "comparison", title, keys, COLUMNS, note)
 

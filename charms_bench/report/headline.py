@@ -13,7 +13,7 @@ from itertools import chain
 from charms_bench.report import left_out
 from charms_bench.report.number import Number
 from charms_bench.report.stored import RunTables
-from charms_bench.report.suite_table import MATRICES, matrices, one_per_metric, printed
+from charms_bench.report.suite_table import MATRICES, matrices, one_per_metric, printed, time_over
 from charms_bench.report.table import Column, Row, Table
 from charms_bench.runs.suite import Suite
 
@@ -35,8 +35,9 @@ def headline(suite: Suite, tables: RunTables) -> Table:
         by_metric = {each.name.removeprefix(start): each for each in matrices(tables.metrics)}
         shown = [by_metric[name] for name in (*suite.columns, *MATRICES) if name in by_metric]
         found = shown[0] if shown else _columns(suite, tables.metrics)
-    said = left_out.said_of(tables.metrics.frame(), "metric")
-    return replace(found, note=" ".join(filter(None, (found.note, said))))
+    frame = tables.metrics.frame()
+    said = left_out.said_of(frame, "metric"), time_over(frame)
+    return replace(found, note=" ".join(filter(None, (found.note, *said))))
 
 
 def pair_matrix(pairs: Table) -> Table:

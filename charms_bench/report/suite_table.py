@@ -74,7 +74,33 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
 
 
 def _said_of(frame: pl.DataFrame, suite: Suite) -> tuple[str, ...]:
-    return suite.note, left_out.said_of(frame, "metric"), first_speeds.said_of(suite)
+    others = left_out.said_of(frame, "metric"), first_speeds.said_of(suite)
+    return (suite.note, *others, time_over(frame))
+
+
+def time_over(frame: pl.DataFrame) -> str:
+    """How many episodes end neither at a goal nor badly, by the long frame; empty if all do.
+
+    On roads with a goal, these are the episodes whose time was over.
+    """
+    keys = [name for name in ("agent", "road", "traffic") if name in frame.columns]
+    standard = ~pl.col("metric_set").str.starts_with(PAPER.name)
+    values = frame.filter(standard).select(*keys, "metric", "value").drop_nulls("value")
+    ended = [
+        values.filter(metric=name).rename({"value": name}).drop("metric")
+        for name in ("goal_reached", "crashed_episodes")
+    ]
+    both = ended[0].join(ended[1], on=keys)
+    shares = both.with_columns(over=1 - pl.col("goal_reached") - pl.col("crashed_episodes"))
+    if shares.is_empty() or shares["over"].max() < 0.005:  # type: ignore[operator]  # a number
+        return ""
+    most = shares.row(int(shares["over"].arg_max() or 0), named=True)
+    where = " in ".join(str(most[name]) for name in keys)
+    share = f"{most['over']:.1%}".replace("%", " %")
+    return (
+        "Episodes with neither the goal nor a crash ended because their time was over: at most "
+        f"{share} ({where})."
+    )
 
 
 def printed(table: Table, columns: Sequence[str]) -> Table:

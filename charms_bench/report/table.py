@@ -12,7 +12,7 @@ from typing import Any
 import polars as pl
 
 import charms_bench.report as views
-from charms_bench.errors import InputError, suggestion
+from charms_bench.errors import ALL_METRICS, InputError, suggestion
 from charms_bench.foundation.words import counted
 from charms_bench.metrics.labels import in_words, key_label_of, set_label_of
 from charms_bench.report.number import Cell, Number
@@ -213,7 +213,8 @@ class Table:
         known = {name: None for _, name in places}
         for name in names:
             if name not in known:
-                raise InputError(f"no metric named '{name}'. {suggestion(name, known)}")
+                said = suggestion(name, known, ALL_METRICS)
+                raise InputError(f"no metric named '{name}'. {said}")
         groups = dict.fromkeys(group for group, _ in places)
         chosen = [(group, name) for group in groups for name in names if (group, name) in places]
         return self.take([places[each] for each in chosen])

@@ -139,7 +139,9 @@ def _grid(
         not stacked and any(row[i].low for row in texts) for i in range(len(table.columns))
     ]
     for key in table.keys:
-        made.add_column(key_label_of(key), no_wrap=not wrapped, overflow="fold")
+        label = key_label_of(key)
+        least = _longest_word(label)
+        made.add_column(label, no_wrap=not wrapped, overflow="fold", min_width=least)
     for i, column in enumerate(table.columns):
         is_text = any(isinstance(row.cells[i], str) for row in table.rows)
         made.add_column(
@@ -147,6 +149,7 @@ def _grid(
             justify="left" if is_text else "right",
             overflow="fold",
             width=None if widths is None else widths[i],
+            min_width=_longest_word(column.title),
         )
         if has_interval[i]:
             made.add_column("95 % interval", justify="right")
@@ -158,6 +161,11 @@ def _grid(
             shown += [Text(cell.interval(", "))] * with_interval
         made.add_row(*map(Text, row.labels), *shown, style="bold" if marked else "")
     return made
+
+
+def _longest_word(heading: str) -> int:
+    """The characters that a heading needs so that no word of it breaks."""
+    return max(map(len, heading.split()), default=0)
 
 
 def _value(cell: Written) -> str:

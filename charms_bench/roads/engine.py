@@ -12,7 +12,7 @@ the vehicles of the environment decide, and all move.
 """
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cached_property
 from itertools import chain
 from types import MappingProxyType
@@ -89,6 +89,10 @@ _LARGEST_POWER = 1e20
 BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS, BY_CONFIGURATION = range(5)
 """What drives a vehicle: highway-env's environment, target speeds and lanes, a driver model,
 continuous actions, or actions that highway-env's environment carries out."""
+
+
+EGO, OTHER_EGO, TRAFFIC = range(3)
+"""The role of a vehicle: the ego whose rows are made, another ego, or none."""
 
 
 class RoadEngine(Shown):
@@ -228,9 +232,9 @@ class RoadEngine(Shown):
         if self.moments is None:
             vehicles["target_speed"][others, : self.egos] = vehicles["speed"][others, : self.egos]
         if self._settings.vehicle_types:
-            entry = np.tile(np.arange(vehicles.shape[1]), (rows.size, 1))
-            everyone = np.ones(entry.shape, dtype=np.bool_)
-            set_types(episodes.scenes, self._settings, rows, seeds, entry, everyone)
+            everyone = np.ones((rows.size, vehicles.shape[1]), dtype=np.bool_)
+            entry = scene.entry[rows]
+            set_types(episodes.scenes, self._settings, self.egos, rows, seeds, entry, everyone)
         episodes.task.navigate(episodes.scenes, others)
         scene.ego[rows], scene.active[rows], self.drivers[rows] = 0, True, agents
         scene.temperament[rows] = 0.5
@@ -258,6 +262,8 @@ class RoadEngine(Shown):
         vehicles[np.ix_(rows, places)] = vehicles[np.ix_(rows, places[::-1])]
         swapped = np.where(order == 0, self.ego_index, np.where(order == self.ego_index, 0, order))
         scenes.order["place"][rows] = swapped
+        at = np.ix_(rows, places)  # what vehicles draw follows them
+        self._seen.entry[at] = self._seen.entry[np.ix_(rows, places[::-1])]
 
     def _seed(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         """Notes the seeds of the scenes `rows` (R,), by which vehicles will flow in."""
@@ -292,7 +298,8 @@ class RoadEngine(Shown):
         later = entry.max(axis=1, keepdims=True) + has_entered.cumsum(axis=1)
         entry = np.where(has_entered, later if numbers is None else numbers, entry)
         if inflow is None and self._settings.vehicle_types and has_entered.any():
-            set_types(scenes, self._settings, rows, self._seeds[rows], entry, has_entered)
+            known = self._settings, self.egos, rows, self._seeds[rows]
+            set_types(scenes, *known, entry, has_entered)
             is_there = table["kind"][rows] > OBSTACLE
             has_entered &= is_there
         some, places = np.nonzero(has_entered)
@@ -509,19 +516,24 @@ class RoadEngine(Shown):
             table = self.episodes.scenes.vehicles
             table["acceleration"][vehicles], table["steering"][vehicles] = control
             return
-        for is_ego in (True, False):
-            some = np.nonzero((places == 0) == is_ego)[0]
-            each = rows[some], places[some]
-            if not some.size:
-                continue
-            rule = self._rule_of((rows[some[0]], places[some[0]]))
-            if is_ego:
+        for role, each, some in self._by_role(vehicles):
+            rule = self._rule_of((each[0][0], each[1][0]))
+            if role == EGO:
                 command(self.scene, *each, actions[some], rule)
             else:
                 view = self._views_of(each), each[1]
                 command(self._views, *view, actions[some], rule)
                 self._seen.repeats[each] = self._views.repeats[view]
                 self._carry_out(each)
+
+    def _by_role(self, vehicles: Vehicles) -> Iterator[tuple[int, tuple[Ints, Ints], Ints]]:
+        """Those of M vehicles that have a role, if there are any, and their indices."""
+        rows, places = vehicles
+        roles = np.where(places >= self.egos, TRAFFIC, np.where(places > 0, OTHER_EGO, EGO))
+        for role in (EGO, OTHER_EGO, TRAFFIC):
+            some = np.nonzero(roles == role)[0]
+            if some.size:
+                yield role, (rows[some], places[some]), some
 
     def _carry_out(self, vehicles: Vehicles) -> None:
         """Has M vehicles of the traffic do what their views say."""
@@ -531,15 +543,20 @@ class RoadEngine(Shown):
 
     def advance(self, hold_egos: bool = False, before_move: BeforeMove | None = None) -> None:
         scene = self._seen
-        rows = np.nonzero(scene.active)[0]
+        rows, others = np.nonzero(scene.active)[0], []
         for agent, model in self._models.items():
             if model.follows_recording and self.moments is not None:
                 continue
             found = vehicles_of(agent, self.drivers, scene.active, self._present, scene.entry)
-            for is_ego in (True, False):
-                some = np.nonzero((found[1] == 0) == is_ego)[0]
-                if some.size and not (is_ego and hold_egos):
-                    self._drive(model, (found[0][some], found[1][some]))
+            for role, each, _ in self._by_role(found):
+                if role != EGO or not hold_egos:
+                    self._drive(model, each)
+                if role == TRAFFIC:
+                    self._carry_out(each)
+                elif role == OTHER_EGO:
+                    others.append(each)
+        for each in others:  # with the ego, so that egos are alike
+            self._carry_out(each)
         put = None if self.moments is None or before_move is None else before_move()
         if self._script is not None:
             follows = _are(self.drivers, self._followers) & self._present
@@ -559,7 +576,7 @@ class RoadEngine(Shown):
             self.goals[rows] = task.has_reached_goal(self.episodes.scenes, before)[rows]
 
     def _drive(self, model: DriverModel, vehicles: Vehicles) -> None:
-        """Has a driver model drive M vehicles: all of them egos, or none."""
+        """Has a driver model answer for M vehicles of one role."""
         shown, seats = self.seen_by(vehicles)
         ways, is_traffic = self._ways, shown is self._shown_views and bool(seats[1][0])
         scene = self._views if is_traffic else self.scene
@@ -572,7 +589,6 @@ class RoadEngine(Shown):
             obey(scene, *each, *answers)
         if is_traffic:
             self._seen.memory[vehicles] = self._views.memory[seats]
-            self._carry_out(vehicles)
 
     def _on_road(self, is_traffic: bool, lanes: int, speed_limit: float) -> Scene:
         """What driver models see whose road has so many lanes and that limit."""
@@ -613,6 +629,7 @@ def show_each(scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, pla
                 forget(here, i)
             view.temperament[v, i] = scene.temperament[b, i]
             view.repeats[v, i] = scene.repeats[b, i]
+            view.entry[v, i] = scene.entry[b, i]
             for k in range(scene.parameters.shape[2]):
                 view.parameters[v, i, k] = scene.parameters[b, i, k]
             for k in range(scene.memory.shape[2]):

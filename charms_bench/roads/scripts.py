@@ -84,7 +84,8 @@ class PlacingOnRoad(Placing):
             field, start, way = "gap_m", made.lane[:, other], self.towards[other]
             along = made.x[:, other] + distance
         where, s = along_way(road, way, start, along)
-        what = "off the road, {:g} m from the start of its last lane; expected a smaller distance"
+        what = "off the road, or more than once round it: {:g} m from the start of the last lane"
+        what += "; expected a smaller distance"
         self._check((*at, field), ~((s >= 0) & (s <= road.lanes["length"][where])), what, s)
         if field == "gap_m":
             named = self._name_of(int(where[0])) if np.ptp(where) == 0 else "its road"
@@ -237,20 +238,25 @@ def lane_before(road: Network, way: Ints, lane: int) -> int:
 
 @compiled
 def along_way(road: Network, way: Ints, lanes: Any, s: Floats) -> tuple[Ints, Floats]:
-    """The lanes (R,) on which vehicles are so far along their way from the start of lanes (R,)."""
+    """The lanes (R,) on which vehicles are so far along their way from the start of lanes (R,).
+
+    Distances end where the road does, and where a ring comes round.
+    """
     found, left = np.empty(s.size, dtype=np.int64), s.copy()
     for r in range(s.size):
-        lane = lanes[r]
+        lane, passed = lanes[r], np.zeros(road.lanes.size, dtype=np.bool_)
         while left[r] > road.lanes[lane].length:
             after = lane_after(road, way, lane)
-            if after < 0:
+            if after < 0 or passed[after]:
                 break
+            passed[after] = True
             left[r] -= road.lanes[lane].length
             lane = after
         while left[r] < 0.0:
             before = lane_before(road, way, lane)
-            if before < 0:
+            if before < 0 or passed[before]:
                 break
+            passed[before] = True
             lane = before
             left[r] += road.lanes[lane].length
         found[r] = lane

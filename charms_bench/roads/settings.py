@@ -202,9 +202,14 @@ def on_road(
     settings = settings.model_copy(update=changes)
     if scenario is None:
         return settings
-    if found.moments is not None or found.egos > 1:
-        what = "configuration.start" if found.moments is not None else "all egos but one"
-        raise InputError(f"the road '{road}': a scenario places all vehicles; remove {what}")
+    if found.moments is not None:
+        what = "a scenario places all vehicles; remove configuration.start"
+        raise InputError(f"the road '{road}': {what}")
+    if found.egos > 1:
+        raise InputError(
+            f"the road '{road}': a scenario has one ego, and the road {found.egos}; expected one, "
+            "as on intersection-v1, or configuration.controlled_vehicles: 1"
+        )
     room = max(0, len(scenario.vehicles) + 1 - found.vehicles)
     count = {"traffic_vehicles": found.places + room - 1}
     return settings.of_scenario(scenario).model_copy(update=count)

@@ -13,6 +13,7 @@ from charms_bench.world.scene import SceneSettings
 def set_types(
     scenes: Scenes,
     settings: SceneSettings,
+    egos: int,
     rows: Ints,
     seeds: NDArray[np.uint64],
     entry: Ints,
@@ -20,12 +21,13 @@ def set_types(
 ) -> None:
     """Gives new vehicles the sizes and the desired speeds of their types.
 
-    One that comes later is not faster than its desired speed. A vehicle other than the ego that has
+    One that comes later is not faster than its desired speed. A vehicle other than an ego that has
     no room then is taken out; see `room`.
 
     Args:
         scenes: The scenes.
         settings: Their settings.
+        egos: How many of the first vehicles are egos.
         rows: (R,) some of them.
         seeds: (R,) those of their episodes.
         entry: (R, N) the numbers of all vehicles; see `world.scene.Scene`.
@@ -33,7 +35,7 @@ def set_types(
     """
     table = scenes.vehicles
     is_new = is_new & (table["kind"][rows] > OBSTACLE)
-    is_ego = np.broadcast_to(np.arange(table.shape[1]) == 0, entry.shape)
+    is_ego = np.broadcast_to(np.arange(table.shape[1]) < egos, entry.shape)
     desired, length, width = draw_vehicles(settings, seeds, entry, is_ego)
     wants = is_new & ~np.isnan(desired)
     comes = wants & (entry >= table.shape[1])

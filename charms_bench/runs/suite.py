@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
 
-from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
+from charms_bench.errors import ALL_METRICS, InputError, ScenarioError, first_problem, suggestion
 from charms_bench.foundation.fields import (
     UNLESS_EMPTY,
     Finite,
@@ -439,7 +439,8 @@ def _check_metric(
 ) -> None:
     known = {metric.name: metric for metric_set in sets for metric in metric_set.metrics}
     if name not in known:
-        raise document.error(location, f"no metric named '{name}'. {suggestion(name, known)}")
+        said = suggestion(name, known, ALL_METRICS)
+        raise document.error(location, f"no metric named '{name}'. {said}")
 
 
 def _ranges_of(agent: str) -> Mapping[str, tuple[float, float]]:

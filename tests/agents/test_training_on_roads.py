@@ -77,6 +77,48 @@ def test_a_training_on_roads_continues_with_the_same_bits(tmp_path: Path) -> Non
     assert (whole.observations[:, 0, 0] > 0).any()
 
 
+SCENARIO = """
+  placed:
+    - roads: [merge-v1, {name: roundabout-v1, duration_s: 4.0}]
+      duration_s: 3.0
+      traffic:
+        scenario:
+          parameters: {gap_m: [10, 40]}
+          points: random
+          ego: {lane: 0, x_m: 20, speed_mps: 10}
+          vehicles:
+            - {name: leader, lane: 0, ahead_of: ego, gap_m: gap_m, speed_mps: SPEED}
+stages:
+"""
+
+
+def suite_with_scenario(speed: str, folder: Path) -> Path:
+    file = suite_with("merge-v1", folder)
+    text = file.read_text().replace("\nstages:\n", SCENARIO.replace("SPEED", speed))
+    file.write_text(text.replace("[straight, roads]", "[placed]"))
+    return file
+
+
+def test_a_network_learns_in_a_scenario_on_roads(tmp_path: Path) -> None:
+    suite = load_training(suite_with_scenario("0", tmp_path))
+    (merge, _), (roundabout, traffic) = suite.places_of(suite.stages["level_1"])
+    assert [str(scene.network) for scene in (merge, roundabout)] == ["merge-v1", "roundabout-v1"]
+    assert [scene.duration_s for scene in (merge, roundabout)] == [3.0, 4.0]
+    assert traffic.agents == ("prescribed",)
+    assert [scene.scenario.vehicles[0].name for scene in (merge, roundabout) if scene.scenario] == [
+        "leader"
+    ] * 2
+    learner = learner_of(suite)
+    learner.learn(lambda: None)
+    assert (learner.observations[:, 0, 0] > 0).any()
+
+
+def test_a_scenario_that_cannot_be_placed_on_a_road_is_named_with_its_place(tmp_path: Path) -> None:
+    with pytest.raises(SuiteError) as error:
+        load_training(suite_with_scenario("-5", tmp_path))
+    assert "conditions.placed[0].traffic.scenario.vehicles[0].speed_mps" in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("road", "what"),
     [

@@ -86,6 +86,7 @@ SHORTENED = [
     (r"python tools/train_on_roads.py \S+( --simulator \S+)?", r"\g<0> --steps 200"),
     # 20 repetitions take minutes.
     (r"python tools/search_against_sobol.py .*", r"\g<0> --repetitions 1"),
+    (r"(python tools/rare_comparison.py \S+ \S+) \d+ \d+", r"\1 1000 0"),
     # The shortened run has only two episodes.
     (r"(charms-bench replay \S+) \d+ (.*)", r"\1 0 \2"),
     (r"(charms-bench dataset .*) --episodes \d+(.*)", r"\1\2"),

@@ -353,7 +353,7 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
         ),
         (
             {"road": "intersection-multi-agent-v1", "traffic": CUT_IN},
-            "a scenario places all vehicles; remove all egos but one",
+            "a scenario has one ego, and the road 2; expected one, as on intersection-v1",
         ),
         (
             {"traffic": {"road": "merge-v0", "drivers": "human"}},

@@ -53,6 +53,30 @@ def crash(ending: str, ego: dict[str, float], other: dict[str, float]) -> str:
             {"x": 4.0, "y": -1.9, "speed": 24.0},
             "clipped vehicle 1 on the left, 6.0 m/s faster than it",
         ),
+        (
+            "rear_end",
+            {"speed": 0.0},
+            {"x": 4.9, "speed": -3.0},
+            "was hit by vehicle 1, which reversed at 3.0 m/s",
+        ),
+        (
+            "rear_end",
+            {"speed": -2.0},
+            {"x": -4.9, "speed": 0.0},
+            "reversed into vehicle 1 at 2.0 m/s",
+        ),
+        (
+            "side",
+            {"speed": 10.0},
+            {"x": 3.0, "y": -2.0, "speed": 9.0, "heading": np.pi / 2},
+            "collided with vehicle 1, which came from the left at 9.0 m/s",
+        ),
+        (
+            "side",
+            {"speed": 10.0},
+            {"x": 4.9, "y": 0.5, "speed": 9.0, "heading": np.pi},
+            "collided with vehicle 1, which came the other way at 9.0 m/s",
+        ),
     ],
 )
 def test_a_collision_says_who_hit_whom(

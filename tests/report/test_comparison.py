@@ -79,9 +79,25 @@ def test_fewer_metrics_cost_less_correction() -> None:
     assert alone["corrected_p"] == alone["p"] < among_all["corrected_p"]
 
 
-def test_a_metric_that_there_is_not_is_named() -> None:
-    with pytest.raises(InputError, match=r"no metric named 'crashed'\. .*Did you mean"):
+def test_of_a_metric_that_there_is_not_the_nearest_are_named() -> None:
+    with pytest.raises(InputError, match=r"no metric named 'crashed'\. .*Did you mean") as error:
         compared((SAFE, WILD), only=("crashed",))
+    said = str(error.value)
+    assert "crashed_at_fault" in said
+    assert "ttc_min" not in said
+    assert "docs/metrics.md" in said
+
+
+def test_intervals_without_0_are_explained_if_p_is_not_below_0_05() -> None:
+    table = compared((SAFE, cell("slower", 25.0, crashes=6)))
+    alone = [row for row in to_dicts(table) if not row["separated"]]
+    count = sum((row["low"] or 0) > 0 or (row["high"] or 0) < 0 for row in alone)
+    assert count > 0
+    assert f"although the interval is without 0: {count}." in table.note
+    assert "--metric" in table.note
+    (crashed,) = to_dicts(one := compared((SAFE, WILD), only=("crashed_episodes",)))
+    assert crashed["separated"]
+    assert "without 0" not in one.note
 
 
 def test_json_has_null_for_what_is_not_defined() -> None:

@@ -12,7 +12,7 @@ from charms_bench.metrics import PAPER, STANDARD
 from charms_bench.report.markdown import document
 from charms_bench.report.run_files import write_table
 from charms_bench.report.stored import stored_tables
-from charms_bench.report.suite_table import from_frame, part_of, printed
+from charms_bench.report.suite_table import from_frame, part_of, printed, time_over
 from charms_bench.report.table import Table
 from charms_bench.report.terminal import grid
 from charms_bench.runs.cells import CellRows
@@ -166,6 +166,34 @@ def test_the_terminal_names_what_differs(
     cells = [cell([25.0], agent=agent, traffic=traffic) for agent, traffic in names]
     words = shown(suite_table(SUITE, cells), ("speed_mean",)).split()
     assert tuple(word for word in ("agent", "traffic") if word in words) == headers
+
+
+def test_a_sentence_says_how_many_episodes_end_by_time() -> None:
+    names = ["agent", "road", "traffic", "metric_set", "metric", "value"]
+    shares = {"slow": (0.5, 0.1), "quick": (0.9, 0.1), "without a goal": (None, 0.2)}
+    rows = [
+        (agent, "exit-v1", "human", f"{kind}-1", metric, value)
+        for agent, (goal, crashed) in shares.items()
+        for kind, metric, value in (
+            ("roads", "goal_reached", goal),
+            ("standard", "crashed_episodes", crashed),
+        )
+    ]
+    frame = pl.DataFrame(rows, schema=names, orient="row")
+    assert "time was over: at most 40.0 % (slow in exit-v1 in human)" in time_over(frame)
+    assert time_over(frame.filter(agent="quick")) == ""
+    assert time_over(frame.filter(agent="without a goal")) == ""
+
+
+def test_headings_break_between_words_only() -> None:
+    forms = {"preventable collisions": ".0f", "abandoned changes": ".0f", "what happened": ""}
+    long = dict.fromkeys(("agent", "road", "what happened"), "intersection-multi-agent-v1")
+    record = {**dict.fromkeys(forms, 1.0), **long}
+    console = Console(width=40, color_system=None)
+    with console.capture() as capture:
+        console.print(grid(Table.plain([record], ("agent", "road"), forms), 40))
+    headings = {"preventable", "collisions", "abandoned", "changes", "what", "happened"}
+    assert headings <= {*capture.get().split()}
 
 
 def test_the_note_of_a_suite_stands_under_its_table_and_in_its_document() -> None:

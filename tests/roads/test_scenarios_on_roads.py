@@ -169,6 +169,19 @@ def test_an_impossible_placement_is_named(
         place(settings.scenario, settings, np.arange(1), PlacingOnRoad)
 
 
+def test_a_distance_ends_where_a_ring_comes_round() -> None:
+    # A ring of radius 20 m, and lanes of 4 m, is 126 to 151 m long.
+    ego = {"road": ["se", "ex"], "lane": 0, "speed_mps": 8}
+    vehicle = {**LEADER, "gap_m": 20, "speed_mps": 8}
+    placed = settings_of("roundabout-v1", [vehicle], {**ego, "x_m": 90})
+    far = settings_of("roundabout-v1", [vehicle], {**ego, "x_m": 5000})
+    assert placed.scenario is not None
+    place(placed.scenario, placed, np.arange(1), PlacingOnRoad)
+    assert far.scenario is not None
+    with pytest.raises(ScenarioError, match="or more than once round it"):
+        place(far.scenario, far, np.arange(1), PlacingOnRoad)
+
+
 def test_the_straight_road_has_no_nodes() -> None:
     ego = {**EGO, "speed_mps": 25, "road": ["a", "b"]}
     scenario = Scenario.model_validate({"ego": ego, "vehicles": [LEADER]})
@@ -177,7 +190,7 @@ def test_the_straight_road_has_no_nodes() -> None:
 
 
 def test_a_recorded_start_and_several_egos_leave_no_place_for_a_scenario() -> None:
-    with pytest.raises(InputError, match="a scenario places all vehicles; remove all egos but one"):
+    with pytest.raises(InputError, match="a scenario has one ego, and the road 2"):
         settings_of("intersection-multi-agent-v1", [LEADER])
 
 

@@ -173,7 +173,7 @@ def test_json_has_a_row_for_every_metric_that_was_asked_for(
         ),
         (
             ("idm", "idm", "--metric", "speed"),
-            "no metric named 'speed'. Did you mean 'speed_mean'? Known: collision_rate",
+            "no metric named 'speed'. Did you mean 'speed_mean'? Nearest: speed_mean",
         ),
     ],
 )

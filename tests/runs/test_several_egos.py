@@ -1,11 +1,13 @@
 """A road with several egos gives a row for each of them."""
 
+import json
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
+from command_line import charms_bench
 
 from charms_bench.api.evaluation import run as run_file
 from charms_bench.engine.simulation import Simulation
@@ -31,19 +33,23 @@ FREE |= {"ego_control_rate": "simulation"}
 EPISODES = 4
 
 
-def driven(ego: int, traffic: str = PRESCRIBED) -> Simulation:
+def driven(ego: int, agent: str = "idm_mobil", traffic: str = PRESCRIBED) -> Simulation:
     """Two scenes, not yet driven, whose rows are those of an ego."""
     settings = SceneSettings.model_validate({"profile": FREE, "decision_hz": 1})
     settings = on_road(settings, NamedRoad(name=ROAD))
-    agents = {"idm_mobil": make_agent("idm_mobil")}
-    simulation = Simulation(settings, 2, "idm_mobil", OneAgent(traffic), agents, RoadEngine)
+    agents = {name: make_agent(name) for name in {agent, traffic} - {PRESCRIBED, ""}}
+    simulation = Simulation(settings, 2, agent, OneAgent(traffic), agents, RoadEngine)
     simulation.engine.ego_index = ego
     simulation.reset(np.arange(2, dtype=np.uint64))
     return simulation
 
 
-def test_both_egos_are_in_the_same_episode() -> None:
-    one, other = driven(0), driven(1)
+@pytest.mark.parametrize(
+    ("agent", "traffic"),
+    [("idm_mobil", PRESCRIBED), ("human", "human"), ("charms", "human"), ("human", "charms")],
+)
+def test_both_egos_are_in_the_same_episode(agent: str, traffic: str) -> None:
+    one, other = driven(0, agent, traffic), driven(1, agent, traffic)
     assert isinstance(one.engine, RoadEngine)
     assert isinstance(other.engine, RoadEngine)
     for _ in range(6):
@@ -57,9 +63,9 @@ def test_both_egos_are_in_the_same_episode() -> None:
         other.step()
 
 
-def test_agents_in_the_traffic_are_rejected() -> None:
-    with pytest.raises(InputError, match="2 egos drive among the vehicles that the road has"):
-        driven(0, "idm_mobil")
+def test_several_egos_that_a_program_drives_are_rejected() -> None:
+    with pytest.raises(InputError, match="2 egos drive on the road"):
+        driven(0, "")
 
 
 @pytest.fixture(scope="module")
@@ -99,8 +105,23 @@ def test_the_replay_of_an_ego_has_its_rows(tmp_path: Path) -> None:
     assert ranked == {(episode, ego) for episode in range(2) for ego in range(3)}
     with pytest.raises(InputError, match="expected an ego index from 0 to 2, found 3"):
         made.replay(0, ego_index=3)
-    with pytest.raises(InputError, match="one ego where another agent takes over"):
-        made.what_if(0, 1, "human")
+    other = made.what_if(0, 2, "human", ego_index=1).other
+    assert other.agents[:3] == ("human", "idm_mobil", "idm_mobil")
+
+
+def test_each_ego_of_a_collision_has_its_last_avoidable_moment(tmp_path: Path) -> None:
+    path = tmp_path / "several.yaml"
+    path.write_text(
+        "suite: several\nepisodes: 2\nseed: 37\nscene: {duration_s: 13}\n"
+        f"egos: [{{agent: idm_mobil}}]\nroads: [{ROAD}]\ntraffic_models: [{{traffic: human}}]\n"
+    )
+    made = run_file(path, tmp_path / "run", workers=1)
+    crashed = made.episodes.filter(pl.col("ending").is_in(["rear_end", "side"]))
+    expected = {*crashed.select("episode", "ego_index").iter_rows()}
+    assert {ego for _, ego in expected} == {0, 1}
+    out = charms_bench("edge-cases", tmp_path / "run", "--avoidable", "--budget", "50", "--json")
+    found = json.loads(out.stdout)
+    assert {(each["episode"], each["ego_index"]) for each in found} == expected
 
 
 def test_sums_are_those_of_both_egos_by_episode(rows: dict[str, pl.DataFrame]) -> None:

@@ -59,8 +59,6 @@ class Condition(FrozenModel):
         scenario = self.traffic and self.traffic.scenario
         if scenario and scenario.points != "random":
             raise ValueError("traffic.scenario.points: expected random, for episodes of a training")
-        if scenario and self.roads:
-            raise ValueError("a scenario of a training is on the straight road; remove the roads")
         return self
 
     @property
@@ -70,8 +68,8 @@ class Condition(FrozenModel):
             self,
         )
 
-    def applied(self, scene: SceneSettings) -> SceneSettings:
-        """The scene of these episodes, without a scenario, on the first of the roads.
+    def applied(self, scene: SceneSettings, traffic: TrafficSpec) -> SceneSettings:
+        """The scene of these episodes, with the traffic's scenario, on the first of the roads.
 
         Raises:
             InputError: The road does not exist, or its configuration is wrong.
@@ -82,8 +80,8 @@ class Condition(FrozenModel):
         for road in (self.roads or ())[:1]:
             from charms_bench.roads.settings import on_road  # slow to import
 
-            return on_road(found, road.road, road.duration_s)
-        return found
+            return on_road(found, road.road, road.duration_s, traffic.scenario)
+        return found.of_scenario(traffic.scenario)
 
 
 class StageStyle(FrozenModel):
@@ -330,8 +328,7 @@ class TrainingSuite(FrozenModel):
         found = []
         for each in self.conditions_of(stage):
             traffic = each.traffic or stage.traffic
-            scene = each.applied(stage.scene).of_scenario(traffic.scenario)
-            found.append((scene, self.traffic_of(traffic)))
+            found.append((each.applied(stage.scene, traffic), self.traffic_of(traffic)))
         return found
 
     def drivers_of(self, stage: Stage | SimulatedDrivers) -> tuple[str, ...]:

@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from charms_agents.human.interface import DECISION_HZ, SIMULATION_HZ
-from charms_agents.training.settings import Condition, Stage, TrainingSuite
+from charms_agents.training.settings import Condition, TrainingSuite
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.runs.document import Document, Location
 from charms_bench.runs.suite import check_placement
 from charms_bench.world.observations import Neighbours
-from charms_bench.world.scene import SceneSettings
 
 PLACED = 1_000
 """Points of a scenario that are tried before a network learns in it."""
@@ -34,7 +33,7 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
     for stage in stages.values() if steps is not None and isinstance(stages, dict) else ():
         if isinstance(stage, dict):  # anything else is rejected below
             stage["steps"] = steps
-    suite, placed = document.validate(TrainingSuite), set[tuple[str, str]]()
+    suite, placed = document.validate(TrainingSuite), set[str]()
     for name, stage in suite.stages.items():
         at = ("stages", name)
         if stage.variant is not None:
@@ -104,7 +103,7 @@ def _check_name(
 
 
 def _check_conditions(
-    document: Document, suite: TrainingSuite, name: str, placed: set[tuple[str, str]]
+    document: Document, suite: TrainingSuite, name: str, placed: set[str]
 ) -> None:
     """Rejects other steps of the target speed, and scenarios that cannot be placed.
 
@@ -117,36 +116,24 @@ def _check_conditions(
         for index, condition in enumerate(suite.conditions[each])
     ]
     for at, condition in named or [(("stages", name), Condition())]:
-        traffic, scene = (
-            condition.traffic or stage.traffic,
-            _applied(document, at, condition, stage),
-        )
-        steps, expected = (each.profile.target_speed_steps_mps for each in (scene, stage.scene))
-        if steps != expected:
-            what = f"{[*steps]}; expected those of the stage '{name}', {[*expected]}"
-            where = (*at, "profile")
-            raise document.error(where, f"target_speed_steps_mps: found {what}")
-        if traffic.scenario is None:
-            continue
-        key = traffic.scenario.model_dump_json(), scene.model_dump_json()
-        if key not in placed:
-            placed.add(key)
-            first = suite.first_episode_seed
-            numbers = np.arange(first, first + PLACED)
-            where = (*at, "traffic", "scenario")
-            settings = scene.of_scenario(traffic.scenario)
-            check_placement(document, where, traffic.scenario, settings, numbers)
-
-
-def _applied(document: Document, at: Location, condition: Condition, stage: Stage) -> SceneSettings:
-    """The scene of a condition on the last of its roads; rejects roads that do not exist."""
-    scene = stage.scene
-    for index, each in enumerate(condition.by_road):
-        try:
-            scene = each.applied(stage.scene)
-        except InputError as error:
-            raise document.error((*at, "roads", index), str(error)) from error
-    return scene
+        traffic = condition.traffic or stage.traffic
+        for index, each in enumerate(condition.by_road):
+            try:
+                scene = each.applied(stage.scene, traffic)
+            except InputError as error:
+                raise document.error((*at, "roads", index), str(error)) from error
+            steps, expected = (one.profile.target_speed_steps_mps for one in (scene, stage.scene))
+            if steps != expected:
+                what = f"{[*steps]}; expected those of the stage '{name}', {[*expected]}"
+                where = (*at, "profile")
+                raise document.error(where, f"target_speed_steps_mps: found {what}")
+            key = scene.model_dump_json()
+            if traffic.scenario is not None and key not in placed:
+                placed.add(key)
+                first = suite.first_episode_seed
+                numbers = np.arange(first, first + PLACED)
+                where = (*at, "traffic", "scenario")
+                check_placement(document, where, traffic.scenario, scene, numbers)
 
 
 def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:
