@@ -285,14 +285,3 @@ def test_the_page_has_the_defaults_of_all_scales() -> None:
     page = (Path(__file__).parents[2] / "docs" / "reward.md").read_text(encoding="utf-8")
     for name, value in RewardScales().model_dump(exclude_none=True).items():
         assert f"`{name}` ({value:g}" in page
-
-
-def test_others_can_count_by_how_much_they_brake() -> None:
-    simulation = simulation_of((500.0, 1, 28.0), (480.0, 1, 28.0), (470.0, 0, 28.0), target_lane=0)
-    scales = RewardScales(others_brake=True, others_acceleration_mps2=0.5)
-    simulation.scene.acceleration[0] = 0.0, -1.5, -2.0
-    reward = CompletedReward(SAFETY, math.pi / 2, scales)
-    # Of an altruist, only the others count: 1.5 and 2 m/s2 of the followers on both lanes.
-    assert float(reward(simulation, reward.prepare(simulation, IDLING))[0]) == pytest.approx(-7.0)
-    simulation.scene.acceleration[0] = 0.0, 1.5, 0.0
-    assert float(reward(simulation, reward.prepare(simulation, IDLING))[0]) == pytest.approx(0.0)

@@ -11,15 +11,13 @@ Equations are numbered as in the paper; `rewards` has them as they are printed. 
   wants for itself: for all orientations, a crash costs equally many units of the own reward. A
   conflict can be one, too. To reach the goal of a road is a gain of the same kind.
 - r_o (eq. 7) is divided by a scale, by default its largest value, and is 0 when nobody is affected.
-  Where ways join, the vehicle that brakes for an ego has not been behind it before, so nothing can
-  be subtracted; there, r_o can be what followers brake.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,8 +64,6 @@ class RewardScales(FrozenModel):
     """r_o is 1 if followers gain this, and -1 if they lose it."""
     others_gain_mps2: NonNegative = INCREASE_LIMIT_MPS2
     """What each follower gains at most; with 0, only what followers lose counts."""
-    others_brake: Literal[True] | None = None
-    """If true, r_o is minus the braking of the followers, instead of what they gain."""
     lane_change_cost: NonNegative = 60.0
     """What a lane change that begins takes off r_c."""
     failure_cost: NonNegative = 60.0
@@ -120,7 +116,7 @@ class CompletedReward:
         """Observes the scenes before the egos' actions (B,) are carried out."""
         scene, egos = simulation.scene, simulation.ego_vehicles
         return Before(
-            affected(scene, bool(self._styles[:, 1].any()) and not self.scales.others_brake),
+            affected(scene, bool(self._styles[:, 1].any())),
             scene.speed[egos],
             scene.acceleration[egos],
             scene.target_lane[egos],
@@ -143,10 +139,7 @@ class CompletedReward:
             own = own + self.scales.goal_reward * (simulation.ending == GOAL)
         rewards = own_share * own
         if others_share.any():
-            if self.scales.others_brake:
-                gain = -braking(scene)
-            else:
-                gain = others(scene, prepared.affected, self.scales.others_gain_mps2)
+            gain = others(scene, prepared.affected, self.scales.others_gain_mps2)
             gain /= self.scales.others_acceleration_mps2
             rewards += others_share * np.where(simulation.failed, 0.0, gain)
         return np.asarray(rewards)
@@ -179,22 +172,6 @@ def safety(scene: Scene, scales: RewardScales) -> Floats:
     the leader on the lane that the ego leaves.
     """
     return _safety(scene, scales.safety_horizon_s, scales.leader_loses_mps)
-
-
-@compiled
-def braking(scene: Scene) -> Floats:
-    """(B,) how much the followers on the ego's own lane and on its target lane brake, m/s2."""
-    result = np.zeros(scene.ego.size)
-    for b in range(result.size):
-        own, target = (
-            scene.followers[b, scene.ego[b], OWN],
-            scene.followers[b, scene.ego[b], TARGET],
-        )
-        if own >= 0:
-            result[b] += max(-scene.acceleration[b, own], 0.0)
-        if target >= 0 and target != own:
-            result[b] += max(-scene.acceleration[b, target], 0.0)
-    return result
 
 
 @compiled
