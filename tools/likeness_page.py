@@ -26,7 +26,7 @@ ROADS = {
 }
 """The recordings of each road, and the suite that is scored against them."""
 RELEASED = SUITES / "released" / "likeness.yaml"
-FIGURE = ROOT / "docs" / "likeness.png"
+FIGURE = ROOT / "docs" / "likeness.webp"
 
 
 def write_page(data: Path) -> None:

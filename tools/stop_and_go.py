@@ -10,7 +10,7 @@
   the densities on its two sides give (Rankine and Hugoniot).
 - The time that an hour of this road takes at 2,000 vehicles per hour and lane.
 
-It draws docs/open-road.png and prints the tables of docs/results.md.
+It draws docs/open-road.webp and prints the tables of docs/results.md.
 """
 
 import argparse
@@ -307,6 +307,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=20.0, help="of each open road")
     parser.add_argument("--seconds", type=float, default=1800.0, help="of each ring")
-    parser.add_argument("--figure", type=Path, default=Path("docs/open-road.png"))
+    parser.add_argument("--figure", type=Path, default=Path("docs/open-road.webp"))
     arguments = parser.parse_args()
     main(arguments.minutes, arguments.seconds, arguments.figure)

@@ -91,33 +91,34 @@ class Interaction(FrozenModel):
 
     def _blur(self, x: Floats, y: Floats, observations: Observations) -> None:
         """Adds the errors to the rows of other vehicles that M egos at x, y (M,) see."""
-        words = [x, y, observations.sum(axis=(1, 2), dtype=np.float64)]
         rows = observations[:, FIRST_NEIGHBOUR:]
-        drawn = uniforms(*(each.view(np.uint64) for each in words), 8 * rows.shape[1])
+        seen = observations.sum(axis=(1, 2), dtype=np.float64)
+        words = x.view(np.uint64), y.view(np.uint64), seen.view(np.uint64)
+        drawn = uniforms(*words, 8 * rows.shape[1])
         errors = (drawn.reshape(*rows.shape[:2], 2, 4).sum(axis=-1) - 2.0) * 3**0.5
         apart = errors[..., 0] * self.distance_noise_m
         speed = errors[..., 1] * self.speed_noise_mps
-        seen, split = rows.astype(np.float64), FIRST_CONFLICT - FIRST_NEIGHBOUR
-        near, met = seen[:, :split], seen[:, split:]
+        values, split = rows.astype(np.float64), FIRST_CONFLICT - FIRST_NEIGHBOUR
+        near, met = values[:, :split], values[:, split:]
         gap = near[..., 1] * RANGE_M + apart[:, :split]
         own = near[..., 3] * SPEED_MPS - near[..., 2] * RELATIVE_MPS
         other = near[..., 3] * SPEED_MPS + speed[:, :split]
         behind = np.arange(split) % 2 == 1
         following = np.maximum(np.where(behind, other, own), SLOWEST_MPS)
         closing = np.where(behind, other - own, own - other) / np.maximum(gap, SHORTEST_M)
-        for column, values in (
+        for column, found in (
             (1, gap / RANGE_M),
             (2, (other - own) / RELATIVE_MPS),
             (3, other / SPEED_MPS),
             (6, closing),
             (7, gap / following / TIME_GAP_S),
         ):
-            near[..., column] = values
+            near[..., column] = found
         away = met[..., 2] * RANGE_M + apart[:, split:]
         other = np.maximum(met[..., 3] * SPEED_MPS + speed[:, split:], 0.0)
         met[..., 2], met[..., 3] = away / RANGE_M, other / SPEED_MPS
         met[..., 4] = away / np.maximum(other, SLOWEST_MPS) / TIME_S - met[..., 7]
-        rows[:] = np.where(seen[..., :1] > 0, np.clip(seen, -1.0, 1.0), 0.0)
+        rows[:] = np.where(values[..., :1] > 0, np.clip(values, -1.0, 1.0), 0.0)
 
 
 @compiled_of_scenes
