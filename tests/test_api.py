@@ -124,7 +124,7 @@ def test_a_report_is_one_file(run: charms_bench.Run, tmp_path: Path) -> None:
         ({"shard_limit_s": 0}, "shard_limit_s is 0; expected a number above 0"),
     ],
 )
-def test_options_that_cannot_be_used_are_refused(
+def test_options_that_cannot_be_used_are_rejected(
     suite_file: Path, tmp_path: Path, options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
@@ -147,7 +147,7 @@ def test_evaluations_and_trainings_are_told_apart(
         charms_bench.open_training(tmp_path)
 
 
-def test_a_kind_of_episode_that_does_not_exist_is_refused(run: charms_bench.Run) -> None:
+def test_a_kind_of_episode_that_does_not_exist_is_rejected(run: charms_bench.Run) -> None:
     with pytest.raises(InputError, match="no kind of episode named 'crash'"):
         run.edge_cases(kind="crash")  # type: ignore[arg-type]
 

@@ -1,5 +1,6 @@
 """The linters, the type checker and the build of the documentation find nothing."""
 
+import ast
 import os
 import subprocess
 import sys
@@ -42,3 +43,22 @@ def test_tracked_files_are_small() -> None:
     large = [path for path, size in sizes.items() if size > FILE_LIMIT]
     assert [str(path) for path in large if not any(map(path.match, LARGE))] == []
     assert sum(sizes.values()) <= ALL_LIMIT
+
+
+WORDS = {"refuse": "reject", "refusal": "rejection", "refused": "rejected", "recipe": "training",
+         "standing": "stationary"}  # fmt: skip
+"""Words that names do not have, and what they have instead."""
+
+
+def test_names_have_the_words_of_the_field() -> None:
+    files = [path for part in ("charms_bench", "agents", "baselines", "tools", "tests")
+             for path in (ROOT / part).rglob("*.py") if "golden" not in path.parts]  # fmt: skip
+    found = {}
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = getattr(node, "name", None) or getattr(node, "id", None)
+            for word in str(name).lower().split("_") if name else ():
+                if word in WORDS:
+                    found[f"{path.relative_to(ROOT)}: {name}"] = WORDS[word]
+    assert len(files) > 500
+    assert found == {}

@@ -115,7 +115,7 @@ def drive(
         "left the road": counted(found.off_road, "time"),
         "stood for too long and were taken out": counted(found.freed, "vehicle"),
         "left at an end of the road": counted(found.left, "vehicle"),
-        "time at standstill": f"{100 * found.standing:.1f} %",
+        "time at standstill": f"{100 * found.stationary:.1f} %",
     }
     rows = [{"fact": fact, "found": value} for fact, value in records.items()]
     print_records("fact", rows, {"found": ""})

@@ -285,7 +285,7 @@ def vacate(scene: Scene, rows: Ints) -> None:
 
 
 def check_settings(found: SceneSettings, expected: SceneSettings) -> None:
-    """Refuses a state of other scenes.
+    """Rejects a state of other scenes.
 
     Raises:
         InputError: The settings differ; the message names the first field that does.

@@ -91,7 +91,7 @@ def load_state(path: str | Path) -> SceneState:
     """
     try:
         data = read_limited(Path(path), LIMIT_BYTES)
-        found = json_of(data, parse_constant=_refuse)
+        found = json_of(data, parse_constant=_reject)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:
@@ -105,7 +105,7 @@ def load_state(path: str | Path) -> SceneState:
         raise InputError(f"{path}: {error}") from error
 
 
-def _refuse(constant: str) -> NoReturn:
+def _reject(constant: str) -> NoReturn:
     raise ValueError(f"found the number {constant}, expected finite numbers")
 
 
@@ -197,7 +197,7 @@ def _array_of(name: str, value: Any) -> NDArray[Any]:
 
 
 def check_state(state: SceneState) -> None:
-    """Refuses values that cannot occur in a simulation.
+    """Rejects values that cannot occur in a simulation.
 
     On a road of highway-env, the engine checks its lanes and routes when it restores the state.
 

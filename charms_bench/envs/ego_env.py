@@ -152,11 +152,11 @@ def surroundings(
         if road is not None:
             from charms_bench.roads.settings import (  # slow to import
                 on_road,
-                refuse_of_straight_roads,
+                reject_of_straight_roads,
             )
 
             named = NamedRoad.model_validate({"name": road} if isinstance(road, str) else road)
-            refuse_of_straight_roads(named, plain)
+            reject_of_straight_roads(named, plain)
             settings = on_road(settings, named, scenario=scenario)
         elif traffic == ENVIRONMENT:
             raise InputError(f"{environment}: traffic: '{ENVIRONMENT}' needs scene={{'road': ...}}")

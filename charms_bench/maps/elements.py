@@ -124,8 +124,8 @@ class _Builder:
         self.parser.StartElementHandler = self._start
         self.parser.EndElementHandler = self._end
         self.parser.CharacterDataHandler = self._add_text
-        self.parser.EntityDeclHandler = self._refuse_entity
-        self.parser.SkippedEntityHandler = self._refuse_entity
+        self.parser.EntityDeclHandler = self._reject_entity
+        self.parser.SkippedEntityHandler = self._reject_entity
         self.has_root = False
         self.open: list[Element] = []
         self.done: list[Element] = []
@@ -155,7 +155,7 @@ class _Builder:
         if not text.isspace():
             self.open[-1].text += text
 
-    def _refuse_entity(self, name: str, *others: object) -> None:
+    def _reject_entity(self, name: str, *others: object) -> None:
         raise MapError(
             f"line {self.parser.CurrentLineNumber}: declares or uses the entity {name[:80]!r}; "
             "maps have none, and files with entities are not read"

@@ -238,7 +238,7 @@ class OnnxPolicy(Policy):
 
 
 def _check_keys(said: Mapping[str, str]) -> None:
-    """Refuses a key that is probably a misspelt one; others say something to people."""
+    """Rejects a key that is probably a misspelt one; others say something to readers."""
     for key in sorted(set(said) - {*KEYS, *_FACTS}):
         word = key.casefold()
         alike = [each for each in KEYS if word and (each in word or each.startswith(word))]
@@ -327,7 +327,7 @@ def _are_styles(styles: Any, width: int) -> bool:
 
 
 def _roles(found: Signature, shape: tuple[int, ...], actions: ActionsLike, controls: int) -> Roles:
-    """What the ports are for; refuses other shapes than these of an observation and the values."""
+    """What the ports are for; rejects other shapes than these of an observation and the values."""
     is_meta = bool(meta_actions_of(actions))
     count = outputs_of(actions) if is_meta else controls
     masks = count if is_meta else len(ACTIONS)

@@ -17,7 +17,7 @@ from charms_bench.world.scenario import PRESCRIBED, Scenario
 
 
 def _short(name: str) -> str:
-    """Refuses an empty name and one that is too long; a path may be as long as a line."""
+    """Rejects an empty name and one that is too long; a path may be as long as a line."""
     if not name or (len(name) > 80 and not is_network(name)):
         raise ValueError("expected 1 to 80 characters")
     return name

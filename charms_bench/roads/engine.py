@@ -678,7 +678,7 @@ def decides_lane(here: Here, vehicle: Row) -> bool:
 
 
 def _check_values(name: str, values: NDArray[Any], bounds: tuple[float, float] | None) -> None:
-    """Refuses what compiled code must not meet; only the measures of an entry can be missing."""
+    """Rejects what compiled code must not meet; only the measures of an entry can be missing."""
     if values.dtype.kind == "b":
         valid = values.view(np.uint8) <= 1
     else:

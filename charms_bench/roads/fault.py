@@ -52,7 +52,7 @@ REACTION_S = 0.75
 """That of the careful and competent driver of UN Regulation 157."""
 YIELDING_S = 1.0
 """For so long after it has left a lane, a vehicle has to yield as on that lane."""
-STANDING_MPS, BACKWARDS_MPS = 0.5, -0.5
+STATIONARY_MPS, BACKWARDS_MPS = 0.5, -0.5
 """A vehicle stands up to the first speed, and drives backwards up to the second one."""
 KEPT_S = 5.0
 """The longest past that decides about fault."""
@@ -213,7 +213,7 @@ def at_fault(
     if has_ranks and rank != other_rank:
         return _of_intruder(rank < other_rank, one, other)
     stands, other_stands = (
-        bool(each.moments["speed"][-1] <= STANDING_MPS) for each in (one, other)
+        bool(each.moments["speed"][-1] <= STATIONARY_MPS) for each in (one, other)
     )
     if stands != other_stands:
         return _of_struck(road, stands, one, other, recent)
@@ -317,8 +317,8 @@ def _seen_from(one: Track, x: Any, y: Any) -> tuple[Any, Any]:
 
 
 def _strikes(one: Track, other: Track) -> bool:
-    """Whether a vehicle moves into a standing one, or touches another one with its front."""
-    if other.moments["speed"][-1] <= STANDING_MPS < one.moments["speed"][-1]:
+    """Whether a vehicle moves into a stationary one, or touches another one with its front."""
+    if other.moments["speed"][-1] <= STATIONARY_MPS < one.moments["speed"][-1]:
         return True
     points = _points(other, -1)
     ahead, aside = _seen_from(one, points[:, 0], points[:, 1])

@@ -6,7 +6,7 @@ density and drive to goals that are drawn from those that they can reach; at its
 draws the next one. So does a vehicle that comes to the end of a lane that does not lead on along
 its way. At an end of the road, a vehicle leaves. It comes back at a start, or on any lane of a road
 without starts, as soon as there is space. So do wrecks after `WRECK_S`, and vehicles that have
-stood for `STANDING_S` and the longest cycle of the map's lights.
+stood for `STATIONARY_S` and the longest cycle of the map's lights.
 """
 
 import math
@@ -71,8 +71,8 @@ NARROW_M = 2.5
 """Where a lane is narrower, such as at its beginning beside others, no vehicle appears."""
 BETWEEN_M = 20.0
 """A shorter lane between junctions is part of them: a vehicle that waits there is in the way."""
-STANDING_MPS = 0.5
-WRECK_S, STANDING_S = 10.0, 120.0
+STATIONARY_MPS = 0.5
+WRECK_S, STATIONARY_S = 10.0, 120.0
 LEFT, CLEARED, FREED, ENTERED = range(1, 5)
 """What happens to a vehicle after a decision: it leaves, as a wreck, or after it has stood for a
 long time; or it comes back."""
@@ -182,7 +182,7 @@ class FileRoad(Task):
             self.vehicles = self.moments.vehicles.shape[1]
         draws = ENTERING_DRAWS if self.moments is None else 0
         interval, duration = 1 / config["policy_frequency"], min(self.duration, 1e4)
-        patience = STANDING_S + self._lights.cycles.max(initial=0.0)
+        patience = STATIONARY_S + self._lights.cycles.max(initial=0.0)
         self._rule = Rule(self.egos, self.vehicles, interval, duration, draws, float(patience))
         self.happened = np.zeros((0, 0), dtype=np.int64)
         """(B, N) what happened to each vehicle after the last decision; 0 is nothing."""
@@ -495,7 +495,7 @@ def _follow(
             forget(here, i)
             vehicle = scenes.vehicles[b, i]
             happened[b, i] = 0
-            if not is_standing(vehicle):
+            if not is_stationary(vehicle):
                 vehicle.stood_s *= abs(vehicle.speed) < SLOW_MPS
             else:
                 vehicle.stood_s += rule.interval
@@ -524,9 +524,9 @@ def _follow(
 
 
 @compiled
-def is_standing(vehicle: Row) -> bool:
+def is_stationary(vehicle: Row) -> bool:
     """Whether a vehicle stands, or is a wreck."""
-    return bool(vehicle.crashed or abs(vehicle.speed) < STANDING_MPS)
+    return bool(vehicle.crashed or abs(vehicle.speed) < STATIONARY_MPS)
 
 
 @compiled

@@ -13,7 +13,7 @@ from charms_bench.foundation.arrays import Bools
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.fault import REAR_END_COS, SIDE_COS
-from charms_bench.roads.file_road import CLEARED, ENTERED, FREED, LEFT, STANDING_MPS, FileRoad
+from charms_bench.roads.file_road import CLEARED, ENTERED, FREED, LEFT, STATIONARY_MPS, FileRoad
 from charms_bench.roads.map_lanes import map_of
 from charms_bench.roads.scenes import IDM, OBSTACLE, Scenes
 from charms_bench.roads.stepping import decide
@@ -42,7 +42,7 @@ class Drive:
     """How many vehicles were taken out because they had stood for too long; see `file_road`."""
     left: int = 0
     """How many left at an end of the road."""
-    standing: float = 0.0
+    stationary: float = 0.0
     """The proportion of the time in which vehicles stood."""
 
     @property
@@ -90,7 +90,7 @@ def long_drive(
         decide(scenes, rows, nobody, SIMULATION_HZ // hz, 1 / hz)
         is_there = table["kind"] > OBSTACLE
         found.km += float(np.abs(table["speed"][is_there]).sum()) / hz / 1000
-        found.standing += float((np.abs(table["speed"][is_there]) < STANDING_MPS).mean())
+        found.stationary += float((np.abs(table["speed"][is_there]) < STATIONARY_MPS).mean())
         crashes.update(_new_crashes(scenes, was_wreck))
         is_off = _off_road(scenes, 0) & ~table["crashed"]
         found.off_road += int((is_off & ~was_off).sum())
@@ -103,7 +103,7 @@ def long_drive(
         if step % (60 * hz) == 0:
             progress(step / hz / 3600)
     found.vehicles = int((table["kind"] > OBSTACLE).sum())
-    found.standing /= max(round(hours * 3600 * hz), 1)
+    found.stationary /= max(round(hours * 3600 * hz), 1)
     found.crashes = dict(crashes.most_common())
     return found
 

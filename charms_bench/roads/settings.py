@@ -141,7 +141,7 @@ def room_on(settings: SceneSettings) -> int:
     return settings.vehicles - _road(settings.network).places
 
 
-def refuse_of_straight_roads(road: NamedRoad, given: Collection[str]) -> None:
+def reject_of_straight_roads(road: NamedRoad, given: Collection[str]) -> None:
     """Raises an `InputError` if one of the given keys of a scene is for straight roads only."""
     for field, keys in _OF_STRAIGHT_ROADS.items():
         if field in given:
@@ -180,7 +180,7 @@ def on_road(
         configuration = {**(road.configuration or {}), "spawn_probability": 0.0}
         road = road.model_copy(update={"configuration": configuration})
     found, defaults = _road(road), SceneSettings.model_fields
-    refuse_of_straight_roads(
+    reject_of_straight_roads(
         road, [name for name, value in settings if value != defaults[name].default]
     )
     if settings.inflow and found.no_inflow:

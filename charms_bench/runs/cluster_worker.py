@@ -67,7 +67,7 @@ def run_shard(pickled: bytes, job: Job) -> "ShardFiles":
                 write_bytes(networks[name], job.networks[sha256])
         task = replace(task, networks=networks)
         found = installed(task.ego, task.traffic, task.networks, task.scene.network is not None)
-        _refuse(worker.address, found.differences(task.software))
+        _reject(worker.address, found.differences(task.software))
         return simulate(task)
 
 
@@ -77,9 +77,9 @@ def _check_platform(job: Job, address: str) -> None:
 
     names = [name for name in job.platform if name not in ("processor", "python")]
     here = describe_platform(get_versions(names), names)
-    _refuse(address, differences(here, job.platform))
+    _reject(address, differences(here, job.platform))
 
 
-def _refuse(address: str, different: str) -> None:
+def _reject(address: str, different: str) -> None:
     if different:
         raise ClusterError(f"worker {address}: {different}; install the same software there")

@@ -52,7 +52,7 @@ class Document:
         except UnicodeDecodeError as error:
             raise SuiteError(f"{path}: is not UTF-8 text: {error.reason}") from error
         except yaml.MarkedYAMLError as error:
-            what = "" if isinstance(error, _Refused) else "is not YAML: "
+            what = "" if isinstance(error, _Rejected) else "is not YAML: "
             what += error.problem or "cannot be read"
             raise self._at(error.problem_mark.line if error.problem_mark else 0, what) from error
         except yaml.YAMLError as error:
@@ -134,7 +134,7 @@ def name_and_options(text: str, what: str) -> tuple[str, dict[str, Any]]:
     return name, options
 
 
-class _Refused(yaml.MarkedYAMLError):
+class _Rejected(yaml.MarkedYAMLError):
     """Valid YAML of a kind that no suite needs, at an event or a node."""
 
     def __init__(self, what: str, at: Any) -> None:
@@ -144,7 +144,7 @@ class _Refused(yaml.MarkedYAMLError):
 class _Loader(yaml.SafeLoader):
     """Loads only plain YAML, whose size in memory is bounded by its size as text.
 
-    Refuses tags, which could make objects, and aliases, merged and repeated keys, deep nesting,
+    Rejects tags, which could make objects, and aliases, merged and repeated keys, deep nesting,
     numbers with many digits, and what versions of YAML read differently.
     """
 
@@ -154,14 +154,14 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]  # of PyYAML
         if isinstance(event, yaml.AliasEvent):
-            raise _Refused("aliases (*name) are not supported", event)
+            raise _Rejected("aliases (*name) are not supported", event)
         if (
             isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent)
             and event.tag is not None
         ):
-            raise _Refused("tags (!name) are not supported", event)
+            raise _Rejected("tags (!name) are not supported", event)
         if self._depth == DEPTH_LIMIT:
-            raise _Refused(f"nested more than {DEPTH_LIMIT} deep", event)
+            raise _Rejected(f"nested more than {DEPTH_LIMIT} deep", event)
         self._depth += 1
         node = super().compose_node(parent, index)
         self._depth -= 1
@@ -170,7 +170,7 @@ class _Loader(yaml.SafeLoader):
         if isinstance(node, yaml.ScalarNode) and node.style is None:
             _check_plain(node)
         if node is not None and node.tag.endswith(":int") and len(node.value) > DIGITS_LIMIT:
-            raise _Refused(f"a number has more than {DIGITS_LIMIT} digits", event)
+            raise _Rejected(f"a number has more than {DIGITS_LIMIT} digits", event)
         return node
 
 
@@ -183,7 +183,7 @@ for _tag, (_pattern, _first) in _PLAIN.items():
 def _check_plain(node: yaml.ScalarNode) -> None:
     for pattern, what in _AMBIGUOUS:
         if re.fullmatch(pattern, node.value):
-            raise _Refused(
+            raise _Rejected(
                 f"{node.value} is {what} in some versions of YAML; write the number without "
                 f"leading zeros, true or false, or a text as '{node.value}' in quotes",
                 node,
@@ -204,11 +204,11 @@ def _check_keys(node: yaml.MappingNode) -> None:
     seen: set[str] = set()
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise _Refused("a key must be a word, not a list or a mapping", key)
+            raise _Rejected("a key must be a word, not a list or a mapping", key)
         if key.value == "<<":
-            raise _Refused("merge keys (<<) are not supported", key)
+            raise _Rejected("merge keys (<<) are not supported", key)
         if key.value in seen:
-            raise _Refused(f"the key '{key.value}' is given twice", key)
+            raise _Rejected(f"the key '{key.value}' is given twice", key)
         seen.add(key.value)
 
 

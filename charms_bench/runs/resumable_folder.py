@@ -134,7 +134,7 @@ class RunFolder:
     def written_suite(self) -> Suite:
         """Returns the suite as the manifest has it; see `suite`."""
         manifest = self.manifest()
-        self._refuse_roads_of_traffic(manifest)
+        self._reject_roads_of_traffic(manifest)
         try:
             undeciding = {name: manifest[name] for name in UNDECIDING if name in manifest}
             return Suite.model_validate({**manifest["suite"], **undeciding})
@@ -147,7 +147,7 @@ class RunFolder:
         copy = self._road(str(road.sha256))
         return road.model_copy(update={"file": copy}) if road.file and copy.exists() else road
 
-    def _refuse_roads_of_traffic(self, manifest: dict[str, Any]) -> None:
+    def _reject_roads_of_traffic(self, manifest: dict[str, Any]) -> None:
         """Raises a `RunFolderError` if roads were traffic models when the folder was written."""
         suite = manifest.get("suite")
         traffics = suite.get("traffics") if isinstance(suite, dict) else None
@@ -209,14 +209,14 @@ class RunFolder:
 
         Raises a `RunFolderError` if the folder has been replaced, or rows are of other episodes.
         """
-        self._refuse_replaced()
+        self._reject_replaced()
         for kind in KINDS:
             check_seeds(files[kind], shard, self._file(kind, shard.name))
         for kind in KINDS:
             write_bytes(self._file(kind, shard.name), files[kind])
         write_bytes(self._checksums(shard.name), _checksums(shard.name, files))
 
-    def _refuse_replaced(self) -> None:
+    def _reject_replaced(self) -> None:
         """Checks that this is still the folder that was opened, and that it has no links."""
         if self._opened and not os.path.samestat(self._opened, os.stat(self.path)):
             raise RunFolderError(f"{self.path}: was replaced during the run; run the suite again")
@@ -347,7 +347,7 @@ class RunFolder:
             raise RunFolderError(f"{copy}: has changed since it was written; run the suite again")
         return copy
 
-    def refuse_to_drop(self, suite: Suite, shards: Iterable[Shard]) -> None:
+    def reject_to_drop(self, suite: Suite, shards: Iterable[Shard]) -> None:
         """Raises a `RunFolderError` if a shorter run would delete finished episodes."""
         episodes, names = self.episodes(), {shard.name for shard in shards}
         lost = [name for name in self.finished() if name not in names]

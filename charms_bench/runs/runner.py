@@ -94,7 +94,7 @@ def run(
             for name, identity in task.software.agents.items()
         }
         if not shorten:
-            folder.refuse_to_drop(suite, tasks)
+            folder.reject_to_drop(suite, tasks)
         before = dict(blocks(suite.model_copy(update={"episodes": folder.episodes()})))
         folder.write_manifest(suite, agents)
         networks = {k: path for task in tasks.values() for k, path in task.networks.items()}
@@ -107,7 +107,7 @@ def run(
             folder.take(tasks, rows)
         run = FinishedRun(suite, folder, tuple(tasks), failed)
         for index in range(len(suite.surroundings)):
-            run.left_out(index)  # refuses scenarios of which none counts
+            run.left_out(index)  # rejects scenarios of which none counts
         unfinished = Counter(shard.cell for shard in tasks)
 
         def finish(shard: Shard) -> None:

@@ -30,7 +30,7 @@ from charms_bench.plugins.registry import AGENTS, find, is_network, make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.cells import title_of
 from charms_bench.runs.document import Document, Location
-from charms_bench.runs.suite_roads import RoadEntry, refuse_roads_of_traffic, with_defaults_of_roads
+from charms_bench.runs.suite_roads import RoadEntry, reject_roads_of_traffic, with_defaults_of_roads
 from charms_bench.world.moments import RecordedScene, moments_of
 from charms_bench.world.named_road import DRAWN, ENVIRONMENT
 from charms_bench.world.placement import Placing, driver_parameters, place
@@ -202,7 +202,7 @@ class Suite(FrozenModel):
             return value
         names = {"traffics", "traffic_models"} & {*value}
         for name in names:
-            refuse_roads_of_traffic(cls.__name__, name, value[name])
+            reject_roads_of_traffic(cls.__name__, name, value[name])
         roads = value.get("roads")
         if not isinstance(roads, list | tuple) or not roads:
             return value
@@ -332,10 +332,10 @@ def suite_of(document: Document) -> Suite:
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
     for index, road in enumerate(suite.roads):
-        from charms_bench.roads.settings import refuse_of_straight_roads  # slow to import
+        from charms_bench.roads.settings import reject_of_straight_roads  # slow to import
 
         try:
-            refuse_of_straight_roads(road.road, suite.scene.model_fields_set)
+            reject_of_straight_roads(road.road, suite.scene.model_fields_set)
             for each in (road, *(road.bounds if road.parameters else ())):
                 suite._scene_of(Surroundings(each, suite.traffics[0]))
         except InputError as error:

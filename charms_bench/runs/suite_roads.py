@@ -69,7 +69,7 @@ def with_defaults_of_roads(suite: dict[str, Any], roads: Sequence[Any]) -> dict[
     return {**suite, "scene": {"profile": ROADS.name, **scene}, "roads": entries}
 
 
-def refuse_roads_of_traffic(model: str, key: str, entries: Any) -> None:
+def reject_roads_of_traffic(model: str, key: str, entries: Any) -> None:
     """Raises a `ValidationError` if traffic models are roads; it says how roads are written.
 
     `entries` are those of the `key` of a `model`.

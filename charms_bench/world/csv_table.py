@@ -104,7 +104,7 @@ def read_parquet(path: Path) -> pl.DataFrame:
     return table
 
 
-def refuse(path: Path, table: pl.DataFrame, mistaken: pl.Expr, column: str, what: str) -> None:
+def reject(path: Path, table: pl.DataFrame, mistaken: pl.Expr, column: str, what: str) -> None:
     """Raises an error about the first line that is mistaken; `{}` in `what` is its value.
 
     The table has the number of each `line`.

@@ -16,7 +16,7 @@ import polars as pl
 
 from charms_bench.errors import DataError
 from charms_bench.foundation.arrays import Floats
-from charms_bench.world.csv_table import Columns, Numbers, read_table, refuse
+from charms_bench.world.csv_table import Columns, Numbers, read_table, reject
 from charms_bench.world.trajectories import (
     LOWER,
     TRACKS,
@@ -91,7 +91,7 @@ def read_highd(trio: Trio) -> Recording:
     expected = f"{trio.recording_meta.name} has {last - 1}, so expected 1 to {last}"
     outside = f"column 'laneId': {{}} is outside the markings; {expected}"
     if "laneId" in tracks.columns:
-        refuse(trio.tracks, tracks, ~pl.col("laneId").is_between(1, last), "laneId", outside)
+        reject(trio.tracks, tracks, ~pl.col("laneId").is_between(1, last), "laneId", outside)
     tracks = _joined(trio, tracks, meta)
     if tracks.is_empty():
         raise DataError(f"{trio.tracks}: has no rows; expected a row for each vehicle and frame")
@@ -169,9 +169,9 @@ def _read_tracks_meta(trio: Trio, vehicles: int | None) -> pl.DataFrame:
             f"{path}: {meta.height:,} vehicles, but {trio.recording_meta.name} announces "
             f"{vehicles:,}; is the file cut short?"
         )
-    refuse(path, meta, ~pl.col("id").is_first_distinct(), "id", "vehicle {} appears twice")
+    reject(path, meta, ~pl.col("id").is_first_distinct(), "id", "vehicle {} appears twice")
     unknown = ~pl.col("class").is_in(["Car", "Truck"]).fill_null(False)
-    refuse(path, meta, unknown, "class", "column 'class': expected Car or Truck, found {!r}")
+    reject(path, meta, unknown, "class", "column 'class': expected Car or Truck, found {!r}")
     return meta.drop("line")
 
 
@@ -180,10 +180,10 @@ def _joined(trio: Trio, tracks: pl.DataFrame, meta: pl.DataFrame) -> pl.DataFram
     columns = meta.select("id", "class", "drivingDirection")
     tracks = tracks.join(columns, on="id", how="left", maintain_order="left")
     unknown = f"vehicle {{}} is not in {trio.tracks_meta.name}"
-    refuse(trio.tracks, tracks, pl.col("drivingDirection").is_null(), "id", unknown)
+    reject(trio.tracks, tracks, pl.col("drivingDirection").is_null(), "id", unknown)
     again = (pl.col("id").diff() == 0) & (pl.col("frame").diff() == 0)
     twice = "vehicle {} already has a row for this frame; delete one of the two rows"
-    refuse(trio.tracks, tracks, again, "id", twice)
+    reject(trio.tracks, tracks, again, "id", twice)
     for row in meta.iter_rows(named=True):
         for column, what in _SUMMARY.items():
             found = row.get(f"{column}{_FOUND}", row[column]) or 0

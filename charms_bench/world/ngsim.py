@@ -14,7 +14,7 @@ import polars as pl
 
 from charms_bench.errors import DataError
 from charms_bench.foundation.arrays import Floats
-from charms_bench.world.csv_table import Columns, Numbers, header_of, read_table, refuse
+from charms_bench.world.csv_table import Columns, Numbers, header_of, read_table, reject
 from charms_bench.world.trajectories import LOWER, TRACKS, Recording, Trio, lateral, slope
 
 FOOT_M = 0.3048
@@ -65,7 +65,7 @@ def read_ngsim(trio: Trio) -> Recording:
     table = table.with_row_index("line", offset=2).sort("Vehicle_ID", "Frame_ID")
     again = (pl.col("Vehicle_ID").diff() == 0) & (pl.col("Frame_ID").diff() == 0)
     twice = "vehicle {} already has a row for this frame; keep the rows of one place and time"
-    refuse(path, table, again, "Vehicle_ID", twice)
+    reject(path, table, again, "Vehicle_ID", twice)
     metres = pl.col("Local_X", "Local_Y", "v_Length", "v_Width", "v_Vel", "v_Acc") * FOOT_M
     table = table.with_columns(metres)
     right = table["Local_X"].to_numpy()

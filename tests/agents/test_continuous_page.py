@@ -41,6 +41,6 @@ def test_the_sac_of_the_page_drives_in_its_suite(tmp_path: Path) -> None:
     finished = charms_bench(*run.split()[1:], "--workers", "1", "--json", cwd=tmp_path)
     rows = json.loads(finished.stdout)
     assert {row["agent"] for row in rows} == {"SAC", "idm_mobil"}
-    refused = charms_bench("verify", "--continuous", "--suite", "sac.yaml", cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "--suite and --continuous exclude each other" in refused.stderr
+    rejected = charms_bench("verify", "--continuous", "--suite", "sac.yaml", cwd=tmp_path)
+    assert rejected.returncode == 2
+    assert "--suite and --continuous exclude each other" in rejected.stderr

@@ -86,6 +86,6 @@ def test_every_style_is_an_installed_agent(family: str) -> None:
         ({"styles": {"safe-egoistic": 3}}, "safe-egoistic must be an agent's name, got 3"),
     ],
 )
-def test_what_is_no_parameter_is_refused(options: dict[str, float], what: str) -> None:
+def test_what_is_no_parameter_is_rejected(options: dict[str, float], what: str) -> None:
     with pytest.raises(InputError, match=what):
         make_traffic("pch", options)

@@ -155,7 +155,7 @@ def test_recordings_of_other_times_share_no_drivers(tmp_path: Path) -> None:
     assert (rows["rejected"] == REPEATED).sum() == 0
 
 
-def test_standing_vehicles_are_not_taken_for_the_same_driver(tmp_path: Path) -> None:
+def test_stationary_vehicles_are_not_taken_for_the_same_driver(tmp_path: Path) -> None:
     for number in (1, 2):
         write_trio(tmp_path, [replace(row, vx=0.5) for row in busy_road()], number, start="07:50")
     assert decisions(tmp_path)["driver"].n_unique() == 66
@@ -225,7 +225,7 @@ def test_a_damaged_cache_says_so(folder: Path, tmp_path: Path, content: bytes) -
         SampleStore(folder, tmp_path / "cache", SampleSettings()).load()
 
 
-def test_another_table_in_the_cache_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_another_table_in_the_cache_is_rejected(folder: Path, tmp_path: Path) -> None:
     SampleStore(folder, tmp_path / "cache", SampleSettings()).load()
     (path,) = (tmp_path / "cache").iterdir()
     pl.DataFrame({"a": [1]}).write_parquet(path)

@@ -96,7 +96,7 @@ def assert_acts_alike(model: Any, file: Path, most: float = 1.0) -> None:
     assert len(set(expected)) > 1
 
 
-def refused(path: Path, message: str) -> None:
+def rejected(path: Path, message: str) -> None:
     output = path.parent / "out.onnx"
     with pytest.raises(ModelError, match=message) as caught:
         export_zip(path, output, FACTS)
@@ -112,9 +112,9 @@ class Halved(FlattenExtractor):
         return super().forward(observations) / 2
 
 
-def test_a_features_extractor_without_weights_is_refused(tmp_path: Path) -> None:
+def test_a_features_extractor_without_weights_is_rejected(tmp_path: Path) -> None:
     _, path = saved_ppo(tmp_path, features_extractor_class=Halved)
-    refused(path, "has the features extractor .*Halved.*; expected MlpPolicy without one")
+    rejected(path, "has the features extractor .*Halved.*; expected MlpPolicy without one")
     _, path = saved_ppo(tmp_path, features_extractor_class=FlattenExtractor)
     export_zip(path, tmp_path / "out.onnx", FACTS)
 
@@ -171,9 +171,9 @@ def test_a_ppos_file_takes_its_likeliest_actions(
 
 def test_an_activation_that_cannot_be_exported_is_named(tmp_path: Path) -> None:
     _, path = saved_ppo(tmp_path, activation_fn=torch.nn.Hardsigmoid)
-    refused(path, r"has <class '.*Hardsigmoid'> between.*expected ReLU, Tanh, ELU, ")
+    rejected(path, r"has <class '.*Hardsigmoid'> between.*expected ReLU, Tanh, ELU, ")
     _, path = saved_ppo(tmp_path, activation_fn=partial(torch.nn.LeakyReLU, 0.3))
-    refused(path, r"has functools.partial.*LeakyReLU.* between")
+    rejected(path, r"has functools.partial.*LeakyReLU.* between")
 
 
 @pytest.mark.parametrize("name", sorted({*KINDS} - {"ReLU", "Tanh"}))
@@ -223,7 +223,7 @@ def test_other_continuous_policies_are_named(
     tmp_path: Path, kind: str, settings: dict[str, Any], message: str
 ) -> None:
     _, path = saved_actor(tmp_path, kind, **settings)
-    refused(path, message)
+    rejected(path, message)
 
 
 @pytest.mark.parametrize("data", [b"", b"{", b"[" * 10**5, b'{"policy_kwargs": null}', b"\x80\x05"])
@@ -274,7 +274,7 @@ def test_pickled_data_beside_the_weights_is_never_loaded(tmp_path: Path) -> None
 def test_policies_that_are_no_ppos_with_an_mlp_are_named(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
-    refused(zipped(tmp_path, ppo_weights(**changes)), message)
+    rejected(zipped(tmp_path, ppo_weights(**changes)), message)
 
 
 def test_a_file_that_would_act_differently_is_not_written(
@@ -283,10 +283,10 @@ def test_a_file_that_would_act_differently_is_not_written(
     _, path = saved(tmp_path)
     zeros = lambda self, values: np.zeros(len(values), np.int64)  # noqa: E731
     monkeypatch.setattr(OnnxPolicy, "actions_of", zeros)
-    refused_output = tmp_path / "out.onnx"
+    rejected_output = tmp_path / "out.onnx"
     with pytest.raises(ModelError, match="would act differently from the network"):
-        export_zip(path, refused_output, FACTS)
-    assert not refused_output.exists()
+        export_zip(path, rejected_output, FACTS)
+    assert not rejected_output.exists()
 
 
 def test_the_checked_observations_are_those_of_moving_scenes() -> None:

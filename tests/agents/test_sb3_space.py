@@ -1,4 +1,4 @@
-"""A checkpoint is exported with what it was trained on, or refused with the reason."""
+"""A checkpoint is exported with what it was trained on, or rejected with the reason."""
 
 # ruff: noqa: E402  (nothing below can be imported without the extra 'train')
 
@@ -49,7 +49,7 @@ def trained(env: Any, folder: Path, **settings: Any) -> tuple[Any, Path]:
     return model, folder / "model.zip"
 
 
-def refusal(path: Path, *arguments: object) -> str:
+def rejection(path: Path, *arguments: object) -> str:
     done = charms_bench("export", path, path.with_suffix(".onnx"), *arguments)
     assert done.returncode == 2, done
     assert not path.with_suffix(".onnx").exists()
@@ -78,9 +78,9 @@ def test_the_observation_and_the_rate_are_those_of_the_environment(
     assert policy.decision_hz == done["decision_hz"] == options.get("decision_hz", 3)
 
 
-def test_another_observation_than_the_environments_is_refused(tmp_path: Path) -> None:
+def test_another_observation_than_the_environments_is_rejected(tmp_path: Path) -> None:
     _, path = trained(made(observation="paper_neighbours"), tmp_path)
-    said = refusal(path, "--observation", "neighbours")
+    said = rejection(path, "--observation", "neighbours")
     assert "was trained on paper_neighbours (charms_bench/Ego-v0), not on neighbours" in said
 
 
@@ -90,7 +90,7 @@ def test_a_highway_env_network_is_not_exported_as_one_of_neighbours(tmp_path: Pa
     _, path = trained(gymnasium.make("highway-v0", config=config), tmp_path)
     kinematics = "{type: Kinematics, vehicles_count: 7}"
     for more in (), ("--observation", "neighbours"):
-        assert f"--observation '{kinematics}'" in refusal(path, *more)
+        assert f"--observation '{kinematics}'" in rejection(path, *more)
     done = charms_bench("export", path, tmp_path / "k.onnx", "--observation", kinematics)
     assert "observes Kinematics, decides at 1 Hz; its checkpoint does not say" in done.stdout
     assert OnnxPolicy(tmp_path / "k.onnx").is_assumed  # merge-v0 has the same space
@@ -107,14 +107,14 @@ def test_a_network_with_bounds_is_not_exported_as_one_of_kinematics(tmp_path: Pa
     env = RescaleObservation(gymnasium.make("charms_bench/Ego-v0"), np.float32(0), np.float32(1))
     _, path = trained(env, tmp_path)
     kinematics = "{type: Kinematics, vehicles_count: 7}"
-    assert "and Kinematics has none" in refusal(path, "--observation", kinematics)
-    assert "other bounds than those of neighbours, as behind a wrapper" in refusal(path)
+    assert "and Kinematics has none" in rejection(path, "--observation", kinematics)
+    assert "other bounds than those of neighbours, as behind a wrapper" in rejection(path)
 
 
-def test_a_network_of_a_road_that_no_suite_has_is_refused(tmp_path: Path) -> None:
+def test_a_network_of_a_road_that_no_suite_has_is_rejected(tmp_path: Path) -> None:
     config = {"observation": {"type": "Kinematics"}}
     _, path = trained(gymnasium.make("charms_bench/parking-v0", config=config), tmp_path)
-    assert "was trained in charms_bench/parking-v0, on whose road suites have no" in refusal(path)
+    assert "was trained in charms_bench/parking-v0, on whose road suites have no" in rejection(path)
 
 
 def test_a_network_of_interaction_is_exported(tmp_path: Path) -> None:
@@ -134,10 +134,10 @@ def test_a_network_of_highway_takes_its_options_along(tmp_path: Path) -> None:
     assert (policy.observation, policy.decision_hz) == (Kinematics(absolute=True), 5)
 
 
-def test_other_target_speeds_than_those_of_suites_are_refused(tmp_path: Path) -> None:
+def test_other_target_speeds_than_those_of_suites_are_rejected(tmp_path: Path) -> None:
     config = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 10, 20]}}
     _, path = trained(gymnasium.make("charms_bench/highway-v0", config=config), tmp_path)
-    assert "was trained with the target speeds [0, 10, 20] m/s" in refusal(path)
+    assert "was trained with the target speeds [0, 10, 20] m/s" in rejection(path)
 
 
 def driven(env: VecEnv, model: Any, path: Path) -> None:
@@ -165,7 +165,7 @@ def original(env: Any) -> Any:
 
 def test_statistics_that_are_missing_are_named(tmp_path: Path) -> None:
     _, path = trained(VecNormalize(made()), tmp_path)
-    said = refusal(path)
+    said = rejection(path)
     assert "was trained with VecNormalize, whose statistics a checkpoint does not hold" in said
     assert f"numpy.savez('norm.npz', {SAVED}), and give --normalise norm.npz" in said
 
@@ -188,7 +188,7 @@ def test_off_policy_algorithms_are_told_from_those_behind_a_normalisation(
     model.learn(40)
     model.save(tmp_path / "model.zip")
     if norm_obs:
-        assert "was trained with VecNormalize" in refusal(tmp_path / "model.zip")
+        assert "was trained with VecNormalize" in rejection(tmp_path / "model.zip")
     else:
         export_zip(tmp_path / "model.zip", tmp_path / "out.onnx", {})
 
@@ -214,7 +214,7 @@ def test_a_normalised_network_acts_as_its_checkpoint(
 def test_the_statistics_of_gymnasiums_wrapper_are_taken_along(tmp_path: Path) -> None:
     env = NormalizeObservation(gymnasium.make("charms_bench/Ego-v0"))
     model, path = trained(env, tmp_path)
-    assert "give --normalise" in refusal(path)
+    assert "give --normalise" in rejection(path)
     rms = env.obs_rms
     np.savez(tmp_path / "norm.npz", mean=rms.mean, var=rms.var, clip=np.inf)
     export_zip(path, tmp_path / "out.onnx", {}, normalise=tmp_path / "norm.npz")
@@ -233,7 +233,7 @@ def test_the_statistics_of_gymnasiums_wrapper_are_taken_along(tmp_path: Path) ->
         ({"mean": np.array([{}]), "var": np.ones(35), "clip": 10}, "cannot be read: Object arrays"),
     ],
 )
-def test_statistics_that_do_not_fit_are_refused(
+def test_statistics_that_do_not_fit_are_rejected(
     arrays: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     _, path = trained(VecNormalize(made()), tmp_path)
@@ -246,7 +246,7 @@ def test_the_pickle_of_a_vec_normalize_is_not_loaded(tmp_path: Path) -> None:
     env = VecNormalize(made())
     _, path = trained(env, tmp_path)
     env.save(str(tmp_path / "norm.pkl"))
-    said = refusal(path, "--normalise", tmp_path / "norm.pkl")
+    said = rejection(path, "--normalise", tmp_path / "norm.pkl")
     assert "is not a NumPy archive; expected a file made in Python with numpy.savez(" in said
 
 
@@ -288,7 +288,7 @@ def test_a_continuous_ppos_file_has_the_clipped_mean(kind: str, tmp_path: Path) 
     np.testing.assert_allclose(policy.decide(seen), expected, rtol=0, atol=1e-5)
     assert policy.actions == "continuous"
     assert ((np.abs(expected) == 1).any(), (np.abs(expected) < 1).any()) == (True, True)
-    assert "--stochastic is for" in refusal(tmp_path / "model.zip", "--stochastic")
+    assert "--stochastic is for" in rejection(tmp_path / "model.zip", "--stochastic")
 
 
 def test_a_network_has_the_meta_actions_of_its_environment(tmp_path: Path) -> None:

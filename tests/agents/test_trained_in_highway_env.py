@@ -171,6 +171,6 @@ def test_it_drives_egos_on_roads_with_a_name_only(tmp_path: Path) -> None:
         Simulation(SceneSettings(), 1, "net", OneAgent("idm_mobil"), others)
 
 
-def test_actions_that_are_not_the_environments_are_refused() -> None:
+def test_actions_that_are_not_the_environments_are_rejected() -> None:
     with pytest.raises(ValueError, match="no agent has actions of 'DiscreteAction'"):
         HighwayEnv(observation={}, action={"type": "DiscreteAction"}, shape=(5, 5))

@@ -374,8 +374,8 @@ def test_options_of_the_command_replace_the_seed_and_the_steps_of_a_suite(
     assert done.returncode == 0, done.stderr
     said = manifest(tmp_path / "run", "level_1")
     assert (said["seed"], said["steps"]) == (9, 80)
-    refused = charms_bench("run", "ego", "--steps", 200)
-    assert "--steps is for trainings; ego is an evaluation" in refused.stderr
+    rejected = charms_bench("run", "ego", "--steps", 200)
+    assert "--steps is for trainings; ego is an evaluation" in rejected.stderr
 
 
 def test_a_training_killed_while_writing_goes_on_to_the_same_network(

@@ -165,7 +165,7 @@ def test_what_is_wrong_is_named_with_its_place(
         load_training(file)
 
 
-STANDING: dict[str, Any] = {
+STATIONARY: dict[str, Any] = {
     "parameters": {"gap_m": [40, 150]},
     "points": "random",
     "ego": {"lane": 1, "speed_mps": 26.0},
@@ -183,7 +183,7 @@ SLOW = {
 
 
 def test_a_scenario_and_another_profile_can_be_a_condition(tmp_path: Path) -> None:
-    hazards = [{"traffic": {"scenario": STANDING}, "profile": SLOW}] * 5
+    hazards = [{"traffic": {"scenario": STATIONARY}, "profile": SLOW}] * 5
     file = changed(tmp_path, "conditions", "hazards", value=hazards, suite=SHIPPED)
     names = ["level_0", "level_0", "hazards"]
     file = changed(tmp_path, "stages", "level_1", "conditions", value=names, suite=file)
@@ -204,11 +204,11 @@ def test_a_scenario_and_another_profile_can_be_a_condition(tmp_path: Path) -> No
     ("condition", "message"),
     [
         (
-            {"traffic": {"scenario": {**STANDING, "points": "sobol"}}},
+            {"traffic": {"scenario": {**STATIONARY, "points": "sobol"}}},
             "scenario.points: expected random, for episodes of a training",
         ),
         (
-            {"traffic": {"scenario": STANDING}},
+            {"traffic": {"scenario": STATIONARY}},
             r"level_0\[0\].traffic.scenario.vehicles\[0\].speed_mps: 0 is out of range; expected",
         ),
         ({"traffic": {"road": "merge-v0"}}, "a road is no traffic model"),

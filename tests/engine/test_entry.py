@@ -192,7 +192,7 @@ def test_a_newcomer_is_a_vehicle_of_the_profiles_size_that_remembers_nothing() -
     assert not joined.memory[at].any()
 
 
-def test_a_full_scene_the_ego_and_an_empty_place_are_refused() -> None:
+def test_a_full_scene_the_ego_and_an_empty_place_are_rejected() -> None:
     state = started("batched").state()
     values = np.zeros(SCENES, dtype=int), np.full(SCENES, 100.0), np.full(SCENES, 30.0)
     with pytest.raises(InputError, match="scene 0 is full: it has 10 vehicles already"):

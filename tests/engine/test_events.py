@@ -168,6 +168,6 @@ def test_unusable_levels_are_an_error_that_names_the_event(event: Event) -> None
 
 
 @pytest.mark.parametrize("below_s", [0, -1.0, 100.0, "1", True, float("nan")])
-def test_a_threshold_that_is_no_time_is_refused(below_s: float) -> None:
+def test_a_threshold_that_is_no_time_is_rejected(below_s: float) -> None:
     with pytest.raises(InputError, match="below_s"):
         TimeToCollision(below_s)

@@ -38,7 +38,7 @@ def test_highway_env_uses_the_projects_functions_in_workers_and_numpys_elsewhere
     subprocess.run([sys.executable, "-c", PROGRAM], check=True)
 
 
-def test_a_process_with_another_setting_of_openblas_is_refused(
+def test_a_process_with_another_setting_of_openblas_is_rejected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv("OPENBLAS_CORETYPE", raising=False)

@@ -130,7 +130,7 @@ def test_a_scenario_cannot_give_other_parameters(given: dict[str, Any], message:
 
 
 @pytest.mark.parametrize("ranges", [{"a": (2, 1)}, {"a": (0, np.inf)}, {"a": 1}, ["a"]])
-def test_ranges_that_are_wrong_are_refused(ranges: Any) -> None:
+def test_ranges_that_are_wrong_are_rejected(ranges: Any) -> None:
     class Wrong(DriverModel):
         parameters = ranges
 

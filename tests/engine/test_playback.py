@@ -159,9 +159,9 @@ CASES = [
 
 
 def test_both_engines_agree_on_a_vehicle_that_is_recorded_rolling_back(tmp_path: Path) -> None:
-    standing = [Row(frame=k + 1, x=100.0, vx=-0.001) for k in range(21)]
+    stationary = [Row(frame=k + 1, x=100.0, vx=-0.001) for k in range(21)]
     driving = driven(Row(vehicle=2, x=120.0, vx=20.0), 21, rate=10)
-    settings = scene_of(tmp_path, standing + driving, profile="naturalistic")
+    settings = scene_of(tmp_path, stationary + driving, profile="naturalistic")
     same = {"ego": AgentSpec(name="recorded"), "traffic": TrafficSpec(name="recorded")}
     found = compare(Case(scene=settings, **same), 0, 1)
     assert (found.differences, found.largest) == ((), 0.0)

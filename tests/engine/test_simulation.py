@@ -216,14 +216,14 @@ def test_an_agent_decides_at_its_own_rate() -> None:
     assert (quick.calls, slow.calls) == (30, 2)
 
 
-def test_a_rate_that_does_not_fit_the_simulation_is_refused() -> None:
+def test_a_rate_that_does_not_fit_the_simulation_is_rejected() -> None:
     said = r"'ego' decides 4\.0 times per second; simulation_hz 15 .*; `simulation_hz: 24` in the"
     with pytest.raises(InputError, match=said):
         simulate(Always(hz=4.0), SceneSettings())
     simulate(Always(hz=4.0), SceneSettings(simulation_hz=24))
 
 
-def test_an_observation_that_does_not_exist_is_refused() -> None:
+def test_an_observation_that_does_not_exist_is_rejected() -> None:
     class Psychic(Always):
         observation = "tomorrow"
 
@@ -264,7 +264,7 @@ def test_a_driver_model_cannot_write_to_the_scene(engine: EngineName) -> None:
         simulate(Teleporting(), SceneSettings(), engine=engine)
 
 
-def test_an_impossible_acceleration_is_refused() -> None:
+def test_an_impossible_acceleration_is_rejected() -> None:
     message = "drive returned 20.5; expected an acceleration within ±20 m/s²"
     with pytest.raises(AgentError, match=message):
         simulate(Rocket(), SceneSettings())

@@ -1,4 +1,4 @@
-"""Vehicles of the profile `naturalistic` queue behind standing leaders, and start after them."""
+"""Vehicles of the profile `naturalistic` queue behind stationary leaders, and start after them."""
 
 from typing import Any
 
@@ -41,7 +41,7 @@ def queue(engine: EngineName, profile: object = "naturalistic") -> tuple[Simulat
     return made, np.array(speeds)
 
 
-def test_vehicles_stop_behind_a_standing_leader_and_start_after_it() -> None:
+def test_vehicles_stop_behind_a_stationary_leader_and_start_after_it() -> None:
     made, speeds = queue("batched")
     assert not made.scene.crashed.any()
     assert (speeds >= 0.0).all()
@@ -51,7 +51,7 @@ def test_vehicles_stop_behind_a_standing_leader_and_start_after_it() -> None:
     assert (speeds[-1] > 20.0).all()
 
 
-def test_a_standing_vehicle_has_no_acceleration() -> None:
+def test_a_stationary_vehicle_has_no_acceleration() -> None:
     made, speeds = queue("batched", {"name": "naturalistic", "road_length_m": 5000.0})
     stands = speeds[300] == 0.0
     assert stands.all()

@@ -1,4 +1,4 @@
-"""States: restored scenes continue as if never interrupted, and misfits are refused."""
+"""States: restored scenes continue as if never interrupted, and misfits are rejected."""
 
 import subprocess
 import sys
@@ -142,7 +142,7 @@ def test_values_that_mean_nothing_are_the_same_in_every_state() -> None:
         ),
     ],
 )
-def test_a_state_that_does_not_fit_is_refused_and_nothing_changes(
+def test_a_state_that_does_not_fit_is_rejected_and_nothing_changes(
     arguments: dict[str, object], message: str
 ) -> None:
     state = started().state()

@@ -1,4 +1,4 @@
-"""States as files: all bits are kept, and files that are not states are refused by field."""
+"""States as files: all bits are kept, and files that are not states are rejected by field."""
 
 import hashlib
 import json
@@ -99,7 +99,7 @@ def edited(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
         (edited(lambda f: f.update(phase="1")), "phase: found '1', expected an integer"),
     ],
 )
-def test_a_file_that_is_not_a_state_is_refused(
+def test_a_file_that_is_not_a_state_is_rejected(
     change: Callable[[str], str], message: str, file: Path
 ) -> None:
     file.write_text(change(file.read_text()))
@@ -107,7 +107,7 @@ def test_a_file_that_is_not_a_state_is_refused(
         load_state(file)
 
 
-def test_every_edit_of_one_digit_is_refused(file: Path) -> None:
+def test_every_edit_of_one_digit_is_rejected(file: Path) -> None:
     text, rng = file.read_text(), np.random.default_rng(0)
     places = [k for k, letter in enumerate(text) if letter.isdigit()]
     for place in rng.choice(places, 60, replace=False):

@@ -130,7 +130,7 @@ def test_draws_place_vehicles_with_the_types_of_their_seeds() -> None:
         ([CAR, {**TRUCK, "length_m": 100.0}], {}, "less than or equal to 30"),
     ],
 )
-def test_impossible_types_are_refused(types: Any, fields: dict[str, Any], what: str) -> None:
+def test_impossible_types_are_rejected(types: Any, fields: dict[str, Any], what: str) -> None:
     with pytest.raises(ValidationError, match=what):
         settings_of(*types, **fields)
 
@@ -142,7 +142,7 @@ def test_impossible_types_are_refused(types: Any, fields: dict[str, Any], what: 
         ("acceleration_mps2", [0.5, 2], "0.5 to 2 is outside the range of .*expected 1 to 4"),
     ],
 )
-def test_unknown_parameters_and_wider_ranges_are_refused(
+def test_unknown_parameters_and_wider_ranges_are_rejected(
     name: str, values: list[float], what: str
 ) -> None:
     with pytest.raises(InputError, match=what):
@@ -243,7 +243,7 @@ def test_quantities_of_a_type_have_their_distributions_and_correlations() -> Non
         ),
     ],
 )
-def test_a_distribution_that_does_not_exist_is_refused(
+def test_a_distribution_that_does_not_exist_is_rejected(
     changes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(ValidationError, match=message):

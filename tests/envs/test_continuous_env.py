@@ -154,7 +154,7 @@ def test_driving_backwards_costs_what_driving_forwards_earns() -> None:
     assert total == pytest.approx(progress / 10)  # 10 m in a decision interval of 1/3 s are worth 1
 
 
-def test_standing_still_earns_nothing() -> None:
+def test_a_vehicle_at_standstill_earns_nothing() -> None:
     env = made(**HIGHWAY, traffic_vehicles=0, duration_s=40.0)
     stops, progress = returns(env, lambda step: [-1.0 if step < 15 else 0.0, 0.0], 60)
     assert stops == pytest.approx(progress / 10)

@@ -311,7 +311,7 @@ def test_an_episode_can_be_tried_again_from_any_decision() -> None:
     assert info["seed"] == 3
 
 
-def test_states_that_an_environment_cannot_continue_are_refused() -> None:
+def test_states_that_an_environment_cannot_continue_are_rejected() -> None:
     env = EgoEnv(**SHORT)
     env.reset(seed=0)
     with pytest.raises(InputError, match="option 'state': found int, expected a SceneState"):

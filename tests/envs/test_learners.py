@@ -200,7 +200,7 @@ def test_a_side_collision_is_told_from_a_rear_end_collision() -> None:
 
 
 @pytest.mark.parametrize("numbers", [(), (1, 2), (0, 0), (0, 21), (-1, 0), 5, (0, 1.5)])
-def test_numbers_that_no_vehicle_has_are_refused(numbers: Any) -> None:
+def test_numbers_that_no_vehicle_has_are_rejected(numbers: Any) -> None:
     expected = r"learners: found .*; expected different numbers from 0 to 20, .* such as range\(3\)"
     with pytest.raises(InputError, match=expected):
         learners(SceneSettings(), numbers)

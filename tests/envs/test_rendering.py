@@ -166,7 +166,7 @@ def test_without_a_display_a_window_is_an_error_that_says_so() -> None:
     assert "there is no display; use render_mode 'rgb_array'" in done.stdout
 
 
-def test_a_mode_that_does_not_exist_is_refused() -> None:
+def test_a_mode_that_does_not_exist_is_rejected() -> None:
     with (
         pytest.warns(UserWarning, match="not in the possible render_modes"),
         pytest.raises(InputError, match="no render_mode 'ansi'; expected 'rgb_array' or 'human'"),

@@ -177,7 +177,7 @@ def test_wrong_actions_of_any_kind_are_an_error_of_the_user(wrong: Any) -> None:
         env.step(wrong)
 
 
-def test_options_that_reset_does_not_know_are_refused() -> None:
+def test_options_that_reset_does_not_know_are_rejected() -> None:
     with pytest.raises(InputError, match="takes the options 'reset_mask' and 'state', got speed"):
         environment(ALONE).reset(options={"speed": 3})
 

@@ -83,7 +83,7 @@ def test_who_changes_lanes_and_who_brakes_has_lights() -> None:
         assert light not in {colour for _, colour in quiet.getcolors(100_000)}
 
 
-def test_another_format_is_refused(tmp_path: Path) -> None:
+def test_another_format_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a\.mp4: expected a name that ends in \.gif"):
         animate(replay_of(x=[[0.0]]), tmp_path / "a.mp4")
 

@@ -114,7 +114,7 @@ def test_a_budget_that_ends_leaves_an_unknown(cell: RecordedCell) -> None:
     assert (each.verdict, each.last_step, each.nodes) == ("unknown", None, 0)
 
 
-def test_an_episode_without_a_collision_is_refused(cell: RecordedCell) -> None:
+def test_an_episode_without_a_collision_is_rejected(cell: RecordedCell) -> None:
     seeds = range(SUITE["seed"], SUITE["seed"] + 30)  # type: ignore[operator, arg-type]
     other = next(seed for seed in seeds if seed not in collisions(cell))
     with pytest.raises(InputError, match=f"episode {other} does not end with a collision"):

@@ -1,4 +1,4 @@
-"""Datasets: whole or not at all, and what is refused."""
+"""Datasets: whole or not at all, and what is rejected."""
 
 from pathlib import Path
 
@@ -72,9 +72,9 @@ def test_parquet_files_have_the_states_of_all_vehicles(run: charms_bench.Run) ->
 def test_an_existing_folder_is_never_touched(run: charms_bench.Run, tmp_path: Path) -> None:
     (tmp_path / "kept").mkdir()
     options = ("--format", "highd", "--ego", "Keep right", "--output", tmp_path / "kept")
-    refused = called("dataset", run.path, *options)
-    assert refused.returncode == 2
-    assert "already exists; delete it, or choose another with --output" in refused.stderr
+    rejected = called("dataset", run.path, *options)
+    assert rejected.returncode == 2
+    assert "already exists; delete it, or choose another with --output" in rejected.stderr
     assert not list((tmp_path / "kept").iterdir())
 
 
@@ -100,7 +100,7 @@ def test_an_interrupted_dataset_leaves_nothing(
         ({"ego": "Keep right", "output": "data"}, "data: .* a version at the end, as in charms-"),
     ],
 )
-def test_what_minari_cannot_hold_is_refused(
+def test_what_minari_cannot_hold_is_rejected(
     run: charms_bench.Run, options: dict[str, object], message: str
 ) -> None:
     pytest.importorskip("minari", reason="needs the extra 'dataset'")
@@ -108,7 +108,7 @@ def test_what_minari_cannot_hold_is_refused(
         run.dataset("minari", **options)
 
 
-def test_an_ego_that_decides_at_another_rate_is_refused(
+def test_an_ego_that_decides_at_another_rate_is_rejected(
     run: charms_bench.Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(type(make_agent("outside_policy")), "decision_hz", 5.0)
@@ -116,7 +116,7 @@ def test_an_ego_that_decides_at_another_rate_is_refused(
         minari_dataset.check_policy(RecordedCell(run._finished, 1, Path()))
 
 
-def test_an_unknown_format_is_refused(run: charms_bench.Run) -> None:
+def test_an_unknown_format_is_rejected(run: charms_bench.Run) -> None:
     with pytest.raises(
         InputError, match=r"no format 'minary'\. Did you mean 'minari'.*Known: minari, highd"
     ):

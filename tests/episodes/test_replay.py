@@ -78,7 +78,7 @@ def test_trajectories_have_a_row_a_vehicle_and_simulation_step(finished: Finishe
     assert table.filter(t_s=0.0)["action"].is_null().all()
 
 
-def test_an_episode_that_goes_another_way_is_refused(copied: FinishedRun) -> None:
+def test_an_episode_that_goes_another_way_is_rejected(copied: FinishedRun) -> None:
     shard, folder = copied.shards[0], copied.folder
     rows = folder.read("steps", [shard])
     later = (pl.col("episode") == 12) & (pl.col("step") >= 4)
@@ -98,7 +98,7 @@ def test_an_episode_that_goes_another_way_is_refused(copied: FinishedRun) -> Non
         replay(RecordedCell(copied, 0, Path()), [12])
 
 
-def test_an_episode_that_the_run_has_not_is_refused(finished: FinishedRun) -> None:
+def test_an_episode_that_the_run_has_not_is_rejected(finished: FinishedRun) -> None:
     with pytest.raises(RunFolderError, match="holds the episodes 10 to 15, not 16"):
         replay(RecordedCell(finished, 0, Path()), [12, 16])
 

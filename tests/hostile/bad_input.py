@@ -9,7 +9,7 @@ CANARY = "canary"
 
 
 class BadInput(NamedTuple):
-    """Input that has to be refused."""
+    """Input that has to be rejected."""
 
     title: str
     make: Callable[[Path], Sequence[object]]

@@ -53,7 +53,7 @@ def _indented(lines: str) -> str:
 
 
 KEEPS = "return np.zeros(vehicles[0].size), scene.lane[vehicles]"
-REFUSED = (
+REJECTED = (
     _policy(
         "A policy that counts its calls and brakes in every fifth one",
         """

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from careless_plugins import AGENTS, HARMLESS, POLICY, REFUSED, SAID, Careless
+from careless_plugins import AGENTS, HARMLESS, POLICY, REJECTED, SAID, Careless
 from command_line import Called, charms_bench
 from plugin_folder import installed
 
@@ -75,7 +75,7 @@ def cases(plugins: tuple[Careless, ...]) -> list[object]:
     ]
 
 
-@pytest.mark.parametrize("careless", cases(REFUSED))
+@pytest.mark.parametrize("careless", cases(REJECTED))
 def test_a_careless_plugin_gets_no_row(
     careless: Careless, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -121,9 +121,9 @@ def test_nothing_behind_a_link_is_written_or_deleted(name: str, folder: Path) ->
 def test_a_shorter_run_deletes_finished_episodes_only_if_told_to(folder: Path) -> None:
     before = contents(folder)
     words = ("run", "suite.yaml", "--workers", 1, "--output", "run", "--episodes", 1)
-    refused = charms_bench(*words, cwd=folder, columns=300)
-    assert refused.returncode == 2
-    assert "has 1 finished shard of a run of 2 episodes, which a run of 1 would" in refused.stderr
+    rejected = charms_bench(*words, cwd=folder, columns=300)
+    assert rejected.returncode == 2
+    assert "has 1 finished shard of a run of 2 episodes, which a run of 1 would" in rejected.stderr
     assert contents(folder) == before
     assert charms_bench(*words, "--shorten", cwd=folder).returncode == 0
     assert len(harness.open_run(folder / "run").episodes) == 1
@@ -150,7 +150,7 @@ def test_rows_of_another_ego_with_fitting_checksums_are_simulated_again(
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "tables/small.csv"])
-def test_a_small_file_that_would_take_gigabytes_is_refused(name: str, folder: Path) -> None:
+def test_a_small_file_that_would_take_gigabytes_is_rejected(name: str, folder: Path) -> None:
     bomb = b'{"a": [' + b"[]," * 2**21 + b"[]]}" if name.endswith("json") else gzip.compress(b"1")
     (folder / "run" / name).write_bytes(bomb)
     answer = charms_bench("show", "run", cwd=folder, columns=300)

@@ -39,8 +39,8 @@ LONGEST = 1100
 SLOW = {"network: a product of hours when it is computed"}
 
 
-def refuses(case: BadInput, folder: Path) -> str:
-    """Runs a case, checks that it was refused, and returns the message."""
+def rejects(case: BadInput, folder: Path) -> str:
+    """Runs a case, checks that it was rejected, and returns the message."""
     arguments = case.make(folder)
     answer = charms_bench(*arguments, cwd=folder)
     assert answer.returncode == 2, answer
@@ -60,8 +60,8 @@ def refuses(case: BadInput, folder: Path) -> str:
     [pytest.param(each, marks=[pytest.mark.slow] * (each.title in SLOW)) for each in ALL],
     ids=lambda each: each.title.encode("ascii", "backslashreplace").decode(),
 )
-def test_bad_input_is_refused_in_words(case: BadInput, tmp_path: Path) -> None:
-    words = refuses(case, tmp_path).replace(f"{tmp_path}/", "")
+def test_bad_input_is_rejected_in_words(case: BadInput, tmp_path: Path) -> None:
+    words = rejects(case, tmp_path).replace(f"{tmp_path}/", "")
     assert words == NASTIEST.get(case.title, words)
     assert case.said in " ".join(words.split())
 
@@ -85,12 +85,12 @@ def test_every_reader_gets_bad_input() -> None:
         lambda inner: st.lists(inner, max_size=3).map(lambda parts: f"[{', '.join(parts)}]"),
     ),
 )
-def test_a_suite_with_junk_for_a_key_is_refused(tmp_path: Path, line: int, junk: str) -> None:
+def test_a_suite_with_junk_for_a_key_is_rejected(tmp_path: Path, line: int, junk: str) -> None:
     lines = BASE.splitlines()
     lines.insert(line, f"{junk}: {junk}")
     (tmp_path / "suite.yaml").write_text("\n".join(lines), newline="")
     if "#" not in junk:  # what follows it may be a comment
-        refuses(BadInput("junk", lambda folder: ("run", "suite.yaml")), tmp_path)
+        rejects(BadInput("junk", lambda folder: ("run", "suite.yaml")), tmp_path)
 
 
 LIMITED = """\

@@ -23,7 +23,7 @@ def test_time_headway_is_that_of_followers() -> None:
     ) == pytest.approx(1 / 4)
 
 
-def test_a_standing_vehicle_has_no_time_headway() -> None:
+def test_a_stationary_vehicle_has_no_time_headway() -> None:
     assert math.isnan(measure(of_standard("time_headway_mean"), ({}, [behind(20.0, speed=0.0)])))
 
 

@@ -69,7 +69,7 @@ def test_a_vehicle_that_is_on_its_way_when_first_seen_starts_nothing(tmp_path: P
     assert (result.lane_changes, result.dhw.size) == (1, 0)
 
 
-def test_fewer_frames_than_decisions_are_refused(tmp_path: Path) -> None:
+def test_fewer_frames_than_decisions_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="2 Hz; expected at least the 3 Hz of decisions"):
         found(tmp_path, driven(Row(), 5, rate=2), rate=2)
 

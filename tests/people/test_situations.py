@@ -125,12 +125,12 @@ def test_a_carriageway_of_two_lanes_is_not_observed(tmp_path: Path) -> None:
     assert not observations.any()
 
 
-def test_a_frame_rate_below_the_decision_rate_is_refused(tmp_path: Path) -> None:
+def test_a_frame_rate_below_the_decision_rate_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="'frameRate': 2 Hz; expected at least the 3 Hz of deci"):
         seen(tmp_path, Row(), rate=2)
 
 
-def test_more_vehicles_than_a_scene_holds_are_refused(tmp_path: Path) -> None:
+def test_more_vehicles_than_a_scene_holds_are_rejected(tmp_path: Path) -> None:
     crowd = [Row(vehicle=k, x=float(k)) for k in range(502)]
     with pytest.raises(DataError, match="frame 1: 502 vehicles in one direction; expected at most"):
         seen(tmp_path, *crowd)

@@ -84,7 +84,7 @@ def test_a_mistake_in_a_recording_reaches_the_command(tmp_path: Path) -> None:
     assert "column 'frameRate': 0 Hz; expected more than 0" in str(result.exception)
 
 
-def test_a_figure_of_an_unknown_format_is_refused(tmp_path: Path) -> None:
+def test_a_figure_of_an_unknown_format_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"data\.txt: expected a name that ends in \.pdf, \.png"):
         save(draw(*survey(write_trio(tmp_path, busy_road(frames=1)), {})), tmp_path / "data.txt")
 

@@ -129,7 +129,7 @@ def standardising(tmp_path: Path) -> OnnxPolicy:
     return OnnxPolicy(path)
 
 
-def test_a_network_that_calculates_across_its_batch_is_refused(standardising: OnnxPolicy) -> None:
+def test_a_network_that_calculates_across_its_batch_is_rejected(standardising: OnnxPolicy) -> None:
     agents = {"net": checked(standardising, standardising, SETTINGS, np.random.default_rng(0))}
     simulated({**agents, "idm_mobil": make_agent("idm_mobil")}, "net", "idm_mobil")
     with pytest.raises(AgentError, match=r"the shard: decide returned .* in another order"):
@@ -149,7 +149,7 @@ class Jumpy(Event):
         return np.full(rows.size, float(self.calls))
 
 
-def test_an_event_that_keeps_state_is_refused() -> None:
+def test_an_event_that_keeps_state_is_rejected() -> None:
     def levels(event: Event) -> Floats:
         agent = {"idm_mobil": make_agent("idm_mobil")}
         simulation = Simulation(SETTINGS, 20, "idm_mobil", make_traffic("idm_mobil"), agent)
@@ -166,7 +166,7 @@ def test_an_event_that_keeps_state_is_refused() -> None:
         jumpy.finish("the event")
 
 
-def test_a_plugin_that_makes_two_kinds_of_agents_is_refused() -> None:
+def test_a_plugin_that_makes_two_kinds_of_agents_is_rejected() -> None:
     model, policy = make_agent("outside_model"), make_agent("outside_policy")
     for one, other in ((model, policy), (policy, model)):
         with pytest.raises(BrokenWordError, match="expected the same kind of agent each time"):

@@ -147,7 +147,7 @@ def test_a_network_that_masks_absent_vehicles_is_asked_about_real_observations(
         rule()
 
 
-def test_a_network_that_fails_at_the_first_decision_is_refused(tmp_path: Path) -> None:
+def test_a_network_that_fails_at_the_first_decision_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="returns values that are NaN"):
         OnnxPolicy(mean_over_the_others(tmp_path / "mean.onnx", history=3))
 

@@ -53,7 +53,7 @@ def test_a_broken_plugin_is_blamed_on_its_distribution_when_it_is_asked_for() ->
         make_agent("outside_broken")
 
 
-def test_something_that_is_no_agent_is_refused() -> None:
+def test_something_that_is_no_agent_is_rejected() -> None:
     with pytest.raises(RegistryError, match="is a NoAgent, not a Policy or a DriverModel"):
         make_agent("outside_no_agent")
 

@@ -1,4 +1,4 @@
-"""A new agent passes its own tests and stands in a table at once; bad names are refused."""
+"""A new agent passes its own tests and stands in a table at once; bad names are rejected."""
 
 import json
 import os
@@ -106,7 +106,7 @@ def test_an_empty_folder_is_filled_and_any_other_left_alone(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", ["", "My", "two words", "a-b", "../a", "1st", "a_", "class", "ä"])
-def test_what_is_no_module_name_is_refused(tmp_path: Path, name: str) -> None:
+def test_what_is_no_module_name_is_rejected(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="cannot be the name of a module; expected"):
         new_agent(name, tmp_path / "new")
     assert not (tmp_path / "new").exists()
@@ -121,6 +121,6 @@ def test_what_is_no_module_name_is_refused(tmp_path: Path, name: str) -> None:
         ("random", "a module named 'random' already exists"),
     ],
 )
-def test_what_is_taken_is_refused(tmp_path: Path, name: str, message: str) -> None:
+def test_what_is_taken_is_rejected(tmp_path: Path, name: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         new_agent(name, tmp_path / "new")

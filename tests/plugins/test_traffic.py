@@ -21,6 +21,6 @@ def test_a_mixture_follows_its_shares() -> None:
 
 
 @pytest.mark.parametrize("shares", [{}, {"a": 0.5}, {"a": 1.5, "b": -0.5}])
-def test_shares_that_are_no_distribution_are_refused(shares: dict[str, float]) -> None:
+def test_shares_that_are_no_distribution_are_rejected(shares: dict[str, float]) -> None:
     with pytest.raises(InputError, match="must be non-negative and sum to 1"):
         Mixture(shares)

@@ -154,7 +154,7 @@ def test_one_ego_or_one_traffic_needs_no_matrix() -> None:
     assert matrices(cells(("A", "calm"), ("A", "busy"))) == []
 
 
-def test_a_figure_of_an_unknown_kind_is_refused(tmp_path: Path) -> None:
+def test_a_figure_of_an_unknown_kind_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"expected a name that ends in \.pdf, \.png, \.svg"):
         save(draw_tradeoff(cells(("A", "calm")), OF_EGOS), tmp_path / "t.jpeg")
 

@@ -49,9 +49,9 @@ def test_a_run_without_tables_is_told_what_writes_them(tmp_path: Path) -> None:
 def test_a_damaged_table_is_named(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "ego.csv"
     path.write_text(text)
-    with pytest.raises(RunFolderError, match=message) as refused:
+    with pytest.raises(RunFolderError, match=message) as rejected:
         read_table(path, SCHEMA)
-    assert str(path) in str(refused.value)
+    assert str(path) in str(rejected.value)
 
 
 def test_a_number_that_is_not_finite_is_none(tmp_path: Path) -> None:

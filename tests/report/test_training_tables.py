@@ -66,14 +66,14 @@ def test_columns_that_nobody_describes_are_shown_by_their_names(tmp_path: Path) 
         ("[", "Invalid JSON"),
     ],
 )
-def test_damaged_descriptions_are_refused(tmp_path: Path, text: str, problem: str) -> None:
+def test_damaged_descriptions_are_rejected(tmp_path: Path, text: str, problem: str) -> None:
     (tmp_path / "columns.json").write_text(text)
-    with pytest.raises(RunFolderError, match=problem) as refused:
+    with pytest.raises(RunFolderError, match=problem) as rejected:
         stored_training(tmp_path)
-    assert str(refused.value).startswith(str(tmp_path / "columns.json"))
+    assert str(rejected.value).startswith(str(tmp_path / "columns.json"))
 
 
-def test_a_stage_that_would_move_the_cursor_is_refused(tmp_path: Path) -> None:
+def test_a_stage_that_would_move_the_cursor_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "stages.csv").write_text(STAGES.replace("imitation", "\x1b[2J"))
     with pytest.raises(RunFolderError, match="has control characters"):
         stored_training(tmp_path)
@@ -85,7 +85,7 @@ def test_a_table_that_never_ends_is_not_read(tmp_path: Path) -> None:
         stored_training(tmp_path)
 
 
-def test_a_table_of_no_stages_is_refused(tmp_path: Path) -> None:
+def test_a_table_of_no_stages_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "stages.csv").write_text("name\nfirst\n")
     with pytest.raises(RunFolderError, match="expected a column 'stage', found name"):
         stored_training(tmp_path)

@@ -144,7 +144,7 @@ def test_who_drives_backwards_is_at_fault() -> None:
     assert at_fault(TWO_LANES, NOBODY, *tracks, DT) == OTHER
 
 
-def test_who_turns_into_a_standing_vehicle_is_at_fault() -> None:
+def test_who_turns_into_a_stationary_vehicle_is_at_fault() -> None:
     tracks = drive(TWO_LANES, 8, 0, 1.5, math.pi / 6), drive(TWO_LANES, 0, 2.0, 4.1)
     assert at_fault(TWO_LANES, NOBODY, *tracks, DT) == FIRST
 

@@ -105,7 +105,7 @@ def test_traffic_in_a_town_stays_on_the_road_and_does_not_lock_up() -> None:
     found = long_drive(PLACES / "town.json", vehicles=20, hours=0.1)
     assert (found.off_road, found.freed) == (0, 0)
     assert found.vehicles == 20
-    assert found.standing < 0.2
+    assert found.stationary < 0.2
 
 
 def test_a_file_that_has_changed_is_not_driven_on(tmp_path: Path) -> None:

@@ -345,7 +345,7 @@ def test_branches_of_saved_states_continue_exactly(road: str, tmp_path: Path) ->
     assert branches.state() == made.state().take(np.repeat(np.arange(5), 4))
 
 
-def test_a_state_of_another_road_is_refused_by_the_names_of_both() -> None:
+def test_a_state_of_another_road_is_rejected_by_the_names_of_both() -> None:
     merge, bend = (simulation(road, "idm_mobil", 1) for road in ("merge-v0", "u-turn-v1"))
     with pytest.raises(InputError, match="the state is of merge-v0, and this scene is on u-turn"):
         bend.restore(merge.state())

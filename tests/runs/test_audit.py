@@ -412,7 +412,7 @@ def test_an_estimation_of_a_rare_event_is_checked_as_far_as_that_goes(tmp_path: 
     assert audited(tmp_path).returncode == 1
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     answer = charms_bench("audit", "run", cwd=tmp_path)
     assert answer.returncode == 2

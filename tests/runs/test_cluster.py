@@ -130,7 +130,7 @@ def test_a_worker_that_is_killed_changes_no_byte(
     "address",
     ["localhost:8786", "tcp://localhost", "http://h:8786", "tcp://h:86000", "tcp://h:1/x", "tcp:"],
 )
-def test_an_invalid_address_is_refused_with_the_expected_form(address: str) -> None:
+def test_an_invalid_address_is_rejected_with_the_expected_form(address: str) -> None:
     with pytest.raises(InputError, match=re.escape(f"{address}: expected tcp://HOST:PORT or tls:")):
         on_cluster(address)
 

@@ -126,7 +126,7 @@ def test_labels_that_differ_may_look_similar(tmp_path: Path) -> None:
     assert len(Document(path).validate(Suite).egos) == 8
 
 
-def test_a_key_by_the_name_that_run_folders_have_is_refused(tmp_path: Path) -> None:
+def test_a_key_by_the_name_that_run_folders_have_is_rejected(tmp_path: Path) -> None:
     both = f"{SUITE}traffics:\n  - traffic: idm_mobil\n"
     assert "suite.yaml:11: traffics: unknown key" in complaint(tmp_path, both)
 
@@ -136,14 +136,14 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         Document(tmp_path / "nowhere.yaml")
 
 
-def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_text_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "suite.yaml"
     path.write_bytes(b"suite: \xff\xfe")
     with pytest.raises(SuiteError, match="is not UTF-8 text"):
         Document(path)
 
 
-def test_an_enormous_file_is_refused_unread(tmp_path: Path) -> None:
+def test_an_enormous_file_is_rejected_unread(tmp_path: Path) -> None:
     path = tmp_path / "suite.yaml"
     path.write_bytes(b"#" * (2**17 + 1))
     with pytest.raises(SuiteError, match="larger than 131,072 bytes"):
@@ -161,7 +161,7 @@ def test_an_enormous_file_is_refused_unread(tmp_path: Path) -> None:
     removed=st.integers(0, 12),
     inserted=st.text("ab:-[]{}&*!%@#'\"\n\t 019.,|>?~\x00é", max_size=12),
 )
-def test_a_damaged_suite_is_valid_or_refused_in_words(
+def test_a_damaged_suite_is_valid_or_rejected_in_words(
     tmp_path: Path, position: int, removed: int, inserted: str
 ) -> None:
     path = tmp_path / "suite.yaml"

@@ -121,7 +121,7 @@ def test_a_run_says_what_its_networks_observe_and_do(
         assert what in charms_bench(*command, cwd=tmp_path).stdout
 
 
-def test_a_network_of_kinematics_is_refused_on_a_road(
+def test_a_network_of_kinematics_is_rejected_on_a_road(
     network_file: NetworkFile, tmp_path: Path
 ) -> None:
     network = network_file(np.zeros((25, 5)), metadata={"observation": '{"type": "Kinematics"}'})

@@ -1,4 +1,4 @@
-"""Pairs of cells to compare: which cells belong together, and which runs are refused."""
+"""Pairs of cells to compare: which cells belong together, and which runs are rejected."""
 
 import json
 from collections.abc import Callable
@@ -95,7 +95,7 @@ def test_two_agents_of_a_run_are_compared_in_each_of_its_traffics(
         ),
     ],
 )
-def test_runs_of_other_episodes_are_refused_and_the_field_named(
+def test_runs_of_other_episodes_are_rejected_and_the_field_named(
     made: Callable[..., FinishedRun], name: str, changes: dict[str, object], difference: str
 ) -> None:
     with pytest.raises(
@@ -115,7 +115,7 @@ def test_runs_of_other_episodes_are_refused_and_the_field_named(
     ],
     ids=["harness", "traffic"],
 )
-def test_other_versions_of_the_harness_or_the_traffic_are_refused(
+def test_other_versions_of_the_harness_or_the_traffic_are_rejected(
     made: Callable[..., FinishedRun],
     monkeypatch: pytest.MonkeyPatch,
     change: Callable[[dict], None],
@@ -126,9 +126,9 @@ def test_other_versions_of_the_harness_or_the_traffic_are_refused(
     manifest = one.folder.manifest()
     change(manifest)
     monkeypatch.setattr(other.folder, "manifest", lambda: manifest)
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError) as rejected:
         pairs_of(one, other, None)
-    assert difference in str(refused.value)
+    assert difference in str(rejected.value)
 
 
 def test_the_command_prints_a_table_of_every_metric(made: Callable[..., FinishedRun]) -> None:

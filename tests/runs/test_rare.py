@@ -143,7 +143,7 @@ def test_more_runs_are_added_to_those_in_the_folder(whole: api.Rare, suite: Path
     ("event", "options", "field"),
     [("crash", {}, "event"), (EVENT, {"samples": 200}, "samples"), (EVENT, {"seed": 3}, "seed")],
 )
-def test_a_folder_with_another_estimation_is_refused(
+def test_a_folder_with_another_estimation_is_rejected(
     whole: api.Rare, suite: Path, event: str, options: dict[str, int], field: str
 ) -> None:
     with pytest.raises(RunFolderError, match=field):
@@ -201,13 +201,13 @@ def test_the_command_prints_the_table_and_json(whole: api.Rare, suite: Path) -> 
     assert first["value"] == whole.table.rows[0].numbers[0].value
 
 
-def test_a_training_suite_is_refused(tmp_path: Path) -> None:
+def test_a_training_suite_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "train.yaml").write_text("pipeline: charms\n", encoding="utf-8")
     with pytest.raises(InputError, match="training suite"):
         api.rare(tmp_path / "train.yaml")
 
 
-def test_a_scenario_is_refused_because_nothing_of_it_is_drawn(tmp_path: Path) -> None:
+def test_a_scenario_is_rejected_because_nothing_of_it_is_drawn(tmp_path: Path) -> None:
     suite = Path(__file__).parents[2] / "suites" / "r157.yaml"
     with pytest.raises(
         InputError, match=r"r157.yaml:\d+: traffic_models\[0\].traffic.scenario: rare"

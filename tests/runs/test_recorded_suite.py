@@ -192,7 +192,7 @@ def test_a_scenario_and_a_recording_exclude_each_other(tmp_path: Path) -> None:
         load_suite(written(tmp_path, text) / "small.yaml")
 
 
-def test_rare_refuses_recordings(tmp_path: Path) -> None:
+def test_rare_rejects_recordings(tmp_path: Path) -> None:
     called = command_line("rare", "small.yaml", cwd=written(tmp_path))
     assert called.returncode == 2
     assert "small.yaml:4: scene.recording: rare draws where vehicles start" in called.stderr

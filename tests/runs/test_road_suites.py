@@ -31,7 +31,7 @@ from charms_bench.errors import InputError, RunFolderError, SuiteError
 from charms_bench.metrics import ROADS
 from charms_bench.people.population import read_population
 from charms_bench.roads.defaults import DEFAULTS
-from charms_bench.roads.settings import on_road, refuse_of_straight_roads
+from charms_bench.roads.settings import on_road, reject_of_straight_roads
 from charms_bench.runs.likeness import standard
 from charms_bench.runs.suite import Suite, load_suite
 from charms_bench.world.named_road import NamedRoad
@@ -73,7 +73,7 @@ def test_tables_have_the_goals_of_every_ego_on_every_road(made: Any) -> None:
 
 def test_recorded_vehicles_are_sent_to_their_own_lanes() -> None:
     with pytest.raises(InputError, match=r"remove scene.recording. Recorded .*start: recorded"):
-        refuse_of_straight_roads(NamedRoad(name="merge-v0"), ["recording"])
+        reject_of_straight_roads(NamedRoad(name="merge-v0"), ["recording"])
 
 
 def test_a_straight_road_has_no_goal_to_reach() -> None:

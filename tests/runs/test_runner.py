@@ -146,7 +146,7 @@ def test_what_another_run_lacks_is_simulated(tmp_path: Path) -> None:
     assert sum(len(cell.episodes) for cell in taken.cells()) == 50
 
 
-def test_another_run_without_rows_of_the_suite_is_refused(tmp_path: Path) -> None:
+def test_another_run_without_rows_of_the_suite_is_rejected(tmp_path: Path) -> None:
     run(suite(episodes=2), tmp_path / "one", workers=1)
     with pytest.raises(RunFolderError, match=r"one: holds no rows of this suite; expected"):
         run(suite(episodes=2, seed=7), tmp_path / "two", workers=1, rows=tmp_path / "one")
@@ -171,7 +171,7 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("change", "found"), [({}, "has no format"), ({"format": 2}, "has format 2")]
 )
-def test_a_folder_of_another_format_is_refused_and_left_alone(
+def test_a_folder_of_another_format_is_rejected_and_left_alone(
     tmp_path: Path, change: dict[str, object], found: str
 ) -> None:
     manifest = tmp_path / "manifest.json"
@@ -203,7 +203,7 @@ def test_sums_do_not_depend_on_how_many_shards_are_read_at_once(
         np.testing.assert_array_equal(parts, whole)
 
 
-def test_rows_with_more_columns_are_read_and_rows_with_fewer_are_refused(tmp_path: Path) -> None:
+def test_rows_with_more_columns_are_read_and_rows_with_fewer_are_rejected(tmp_path: Path) -> None:
     finished = run(suite(episodes=2), tmp_path, workers=1)
     shard = finished.shards[0]
     files = {kind: finished.folder.read(kind, [shard]) for kind in KINDS}

@@ -374,7 +374,7 @@ def test_a_search_names_what_it_can_search(
         ("time_headway_s: gap + gip", "22: .*no parameter named 'gip'. Did you mean 'gap'"),
     ],
 )
-def test_wrong_parameters_of_a_driver_are_refused_with_their_line(
+def test_wrong_parameters_of_a_driver_are_rejected_with_their_line(
     tmp_path: Path, instead: str, error: str
 ) -> None:
     actions = "            actions: [{at_s: 1, acceleration_mps2: -braking}]\n"

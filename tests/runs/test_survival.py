@@ -143,7 +143,7 @@ def shard_files(folder: RunFolder) -> list[Path]:
 
 
 def assert_noticed(folder: RunFolder, shard: Shard, path: Path, position: int, mask: int) -> None:
-    """With one byte changed, a run would do the shard again and readers refuse the file."""
+    """With one byte changed, a run would do the shard again and readers reject the file."""
     whole = path.read_bytes()
     path.write_bytes(whole[:position] + bytes([whole[position] ^ mask]) + whole[position + 1 :])
     assert not folder.is_whole(shard), f"{path.name}: byte {position}"

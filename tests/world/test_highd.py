@@ -143,7 +143,7 @@ def test_a_mistake_is_said_with_file_and_line(
 
 @pytest.mark.parametrize("kind", ["tracks", "tracksMeta", "recordingMeta"])
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.9])
-def test_a_file_cut_short_is_refused(tmp_path: Path, kind: str, share: float) -> None:
+def test_a_file_cut_short_is_rejected(tmp_path: Path, kind: str, share: float) -> None:
     path = write_trio(tmp_path, busy_road(frames=3)) / f"01_{kind}.csv"
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
@@ -151,7 +151,7 @@ def test_a_file_cut_short_is_refused(tmp_path: Path, kind: str, share: float) ->
         list(read_folder(tmp_path))
 
 
-def test_a_file_larger_than_any_recording_is_refused_unread(tmp_path: Path) -> None:
+def test_a_file_larger_than_any_recording_is_rejected_unread(tmp_path: Path) -> None:
     path = write_trio(tmp_path, [Row()]) / "01_tracks.csv"
     with path.open("r+b") as file:
         file.truncate(2**40)  # takes no space
@@ -159,7 +159,7 @@ def test_a_file_larger_than_any_recording_is_refused_unread(tmp_path: Path) -> N
         list(read_folder(tmp_path))
 
 
-def test_more_rows_than_any_recording_are_refused(
+def test_more_rows_than_any_recording_are_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("charms_bench.world.csv_table.ROW_LIMIT", 2)

@@ -1,4 +1,4 @@
-"""Moments of recordings: which there are, how recordings are split, and what is refused."""
+"""Moments of recordings: which there are, how recordings are split, and what is rejected."""
 
 import csv
 import re
@@ -124,7 +124,7 @@ def test_settings_that_were_read_once_need_no_recordings(tmp_path: Path) -> None
         moments_of(again)
 
 
-def test_recordings_that_have_changed_are_refused(tmp_path: Path) -> None:
+def test_recordings_that_have_changed_are_rejected(tmp_path: Path) -> None:
     made = scene(write_trio(tmp_path, driven(Row(), 51)))
     write_trio(tmp_path, driven(Row(x=101.0), 51))
     with pytest.raises(DataError, match="the recordings have changed since the settings were made"):
@@ -143,13 +143,15 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("fields", "message"), MISTAKES)
-def test_what_does_not_fit_is_refused(tmp_path: Path, fields: dict[str, Any], message: str) -> None:
+def test_what_does_not_fit_is_rejected(
+    tmp_path: Path, fields: dict[str, Any], message: str
+) -> None:
     write_trio(tmp_path, flowing_road(10), rate=10)
     with pytest.raises(ValidationError, match=message):
         scene(tmp_path, **fields)
 
 
-def test_lanes_of_different_widths_are_refused_and_named(tmp_path: Path) -> None:
+def test_lanes_of_different_widths_are_rejected_and_named(tmp_path: Path) -> None:
     write_trio(tmp_path, driven(Row(y=37.0, lane_id=7), 51), lower="30;34;38;41")
     with pytest.raises(
         ValidationError, match=r"lanes of 4.00, 4.00, 3.00 m in direction 2; .* 15%"

@@ -56,6 +56,6 @@ def test_no_lane_follows_at_the_end_of_a_network() -> None:
     assert next_lane(road, 0, -1, -1, 100.0, 0.0) == 0
 
 
-def test_a_polyline_below_1_m_is_refused() -> None:
+def test_a_polyline_below_1_m_is_rejected() -> None:
     with pytest.raises(ValueError, match=r"0\.5 m long; expected at least 1 m"):
         network_of([("a", "b", PolyLane(points=((0, 0), (0.5, 0))))])

@@ -149,7 +149,7 @@ def test_the_message_names_the_point_that_cannot_be_placed() -> None:
         ([{"gap": 20, "v": 25}], "has 1 points; episode 3 needs 4"),
     ],
 )
-def test_a_wrong_point_is_refused(points: Any, what: str) -> None:
+def test_a_wrong_point_is_rejected(points: Any, what: str) -> None:
     with pytest.raises(ScenarioError, match=what):
         place(scenario(points=points), SETTINGS, np.arange(4))
 

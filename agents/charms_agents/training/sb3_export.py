@@ -15,7 +15,7 @@ from charms_agents.training.network import Layers, layers_of, network_of
 from charms_agents.training.network_file import KINDS, export
 from charms_agents.training.sb3_checkpoint import (
     WEIGHTS,
-    Refusal,
+    Rejection,
     Tensors,
     activation_of,
     check_continuous,
@@ -131,7 +131,7 @@ def export_zip(
         said = said_in(data)
         named = activation_of(said, found.activation)
         if stochastic and (not found.samples or found.actions == "continuous"):
-            raise Refusal(
+            raise Rejection(
                 "does not draw its actions; --stochastic is for a PPO or A2C with meta-actions"
             )
         trained, width = trained_on(said, environment), _width(tensors, found)
@@ -145,7 +145,7 @@ def export_zip(
             actions = meta_actions_of(seen.observation.actions)
             if bool(actions) == (found.actions == "continuous"):
                 kind = seen.observation.action["type"]
-                raise Refusal(f"has other actions than the {kind} of its environment")
+                raise Rejection(f"has other actions than the {kind} of its environment")
         if found.actions == "continuous":
             check_continuous(said, names)
         else:
@@ -160,7 +160,7 @@ def export_zip(
             weight, bias = layers[0]
             layers[0] = np.ascontiguousarray(weight[:, seen.order]), bias
         network = network_of(layers, KINDS[named or found.activation], found.squashed)
-    except Refusal as error:
+    except Rejection as error:
         raise ModelError(f"{checkpoint}: {error}") from error
     name = checkpoint.name.encode(errors="replace").decode()
     activation = named or f"{found.activation} (assumed)"
@@ -223,7 +223,7 @@ def _width(tensors: Tensors, deciding: _Deciding) -> int:
 
 def _deciding(tensors: Tensors) -> _Deciding:
     if any("features_extractor." in name for name in tensors):
-        raise Refusal("has a features extractor with weights, like CnnPolicy; expected MlpPolicy")
+        raise Rejection("has a features extractor with weights, like CnnPolicy; expected MlpPolicy")
     if q_network := _matching(_Q_LAYER, tensors):
         return _Deciding(q_network, "ReLU", "meta")
     if any(name.startswith("actor.") for name in tensors):
@@ -234,7 +234,7 @@ def _deciding(tensors: Tensors) -> _Deciding:
         other = [name for name in other if not _OF_RECURRENT.fullmatch(name)]
     if not policy or other:
         found = ", ".join(other[:4]) or ", ".join(list(tensors)[:4]) or "no tensors"
-        raise Refusal(
+        raise Rejection(
             f"expected the Q-network of a DQN, the actor of a SAC or TD3, or only the policy and "
             f"value networks of a PPO; {WEIGHTS} holds: {found}"
         )
@@ -247,10 +247,10 @@ def _actor(tensors: Tensors) -> Numbered:
     latent = _ending(_LATENT_LAYER, "actor.mu", tensors)
     actor = _matching(_ACTOR_LAYER, tensors)
     if "actor.log_std" in tensors:
-        raise Refusal("has state-dependent exploration; expected a SAC without use_sde")
+        raise Rejection("has state-dependent exploration; expected a SAC without use_sde")
     if bool(latent) == bool(actor):
         found = ", ".join([name for name in tensors if name.startswith("actor.")][:4])
-        raise Refusal(f"expected the actor of a SAC or TD3; {WEIGHTS} holds: {found}")
+        raise Rejection(f"expected the actor of a SAC or TD3; {WEIGHTS} holds: {found}")
     return latent or actor
 
 
@@ -289,10 +289,10 @@ def _lstm(tensors: Tensors, width: int, order: NDArray[np.int64]) -> LSTM | None
         }.items():
             name = f"{part}_l{index}"
             if (tensor := tensors.get(f"lstm_actor.{name}")) is None:
-                raise Refusal(f"has no lstm_actor.{name}; expected the LSTM of a RecurrentPPO")
+                raise Rejection(f"has no lstm_actor.{name}; expected the LSTM of a RecurrentPPO")
             if tensor.shape != shape or not units:
                 found = tuple(tensor.shape)
-                raise Refusal(f"lstm_actor.{name} is of shape {found}; expected {shape}")
+                raise Rejection(f"lstm_actor.{name} is of shape {found}; expected {shape}")
             arrays[name] = torch.from_numpy(_array(tensor, f"lstm_actor.{name}"))
     arrays["weight_ih_l0"] = arrays["weight_ih_l0"][:, torch.from_numpy(order)]
     lstm = LSTM(width, units, count)
@@ -305,30 +305,30 @@ def _check_positions(network: Numbered) -> None:
     if sorted(network) != list(range(0, 2 * len(network), 2)) or any(
         set(parts) != {"weight", "bias"} for parts in network.values()
     ):
-        raise Refusal(
+        raise Rejection(
             f"expected linear layers with an activation between each two; "
             f"found weights at positions {sorted(network)}"
         )
 
 
 def _layers(deciding: _Deciding, width: int, source: str, controls: tuple[str, ...]) -> Layers:
-    """The layers as arrays; refuses layers that do not fit together, or take another width."""
+    """The layers as arrays; rejects layers that do not fit together, or take another width."""
     network = deciding.layers
     layers: Layers = []
     for index in sorted(network):
         weight, bias = network[index]["weight"], network[index]["bias"]
         if weight.ndim != 2 or bias.shape != weight.shape[:1] or not weight.numel():
             shapes = f"weight {tuple(weight.shape)}, bias {tuple(bias.shape)}"
-            raise Refusal(f"layer {index} is not linear: {shapes}")
+            raise Rejection(f"layer {index} is not linear: {shapes}")
         taken = weight.shape[1]
         if taken != width:
-            raise Refusal(f"layer {index} takes {taken} numbers; expected {width}, {source}")
+            raise Rejection(f"layer {index} takes {taken} numbers; expected {width}, {source}")
         source = "the outputs of the layer before"
         layers.append((_array(weight, f"layer {index}"), _array(bias, f"layer {index}")))
         width = weight.shape[0]
     names = tuple(each.name for each in meta_actions_of(deciding.actions)) or controls
     if width != len(names):
-        raise Refusal(f"has {width} actions; expected {len(names)}: {names}")
+        raise Rejection(f"has {width} actions; expected {len(names)}: {names}")
     return layers
 
 
@@ -336,11 +336,11 @@ def _array(tensor: torch.Tensor, name: str) -> NDArray[np.float32]:
     """The numbers of a tensor of weights."""
     plain = tensor.layout == torch.strided and tensor.device.type == "cpu"
     if not plain or tensor.dtype != torch.float32:
-        raise Refusal(f"{name} is {tensor.dtype}; expected torch.float32")
+        raise Rejection(f"{name} is {tensor.dtype}; expected torch.float32")
     # A view can repeat a few stored numbers any number of times.
     if tensor.numel() * tensor.element_size() > tensor.untyped_storage().nbytes():
-        raise Refusal(f"{name} repeats stored numbers")
+        raise Rejection(f"{name} repeats stored numbers")
     array: NDArray[np.float32] = tensor.detach().resolve_neg().numpy()
     if not np.isfinite(array).all():
-        raise Refusal("some of its weights are not finite")
+        raise Rejection("some of its weights are not finite")
     return array

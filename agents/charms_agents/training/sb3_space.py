@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_agents.training.onnx_input import Given
-from charms_agents.training.sb3_checkpoint import Refusal, within
+from charms_agents.training.sb3_checkpoint import Rejection, within
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import json_of, read_limited
 from charms_bench.roads import OF_SUITES
@@ -87,7 +87,7 @@ def trained_on(said: Any, environment: Mapping[str, Any] | None = None) -> Train
     Where it does not say in which environment, `environment` says it.
 
     Raises:
-        Refusal: It says another one.
+        Rejection: It says another one.
     """
     space = within(said, "observation_space")
     try:
@@ -97,7 +97,7 @@ def trained_on(said: Any, environment: Mapping[str, Any] | None = None) -> Train
     where = space.get(TRAINED_IN) or environment
     if environment and where != environment:
         name = within(where, "environment")
-        raise Refusal(f"was trained in {_OWN}{name} as it says; leave out --environment")
+        raise Rejection(f"was trained in {_OWN}{name} as it says; leave out --environment")
     return Trained(
         shape,
         _bounds(space, shape),
@@ -148,11 +148,11 @@ def input_of(trained: Trained, asked: Observed | None, width: int, has_statistic
         has_statistics: Whether the user gives the statistics of the normalisation.
 
     Raises:
-        Refusal: It cannot be found out, or the checkpoint contradicts what the user says.
+        Rejection: It cannot be found out, or the checkpoint contradicts what the user says.
     """
     observation, hz = _stated(trained.where)
     if observation is not None and asked not in (None, observation):
-        raise Refusal(
+        raise Rejection(
             f"was trained on {_words(observation)} ({_OWN}{trained.where['environment']}), not on "
             f"{_words(asked)}; leave out --observation"
         )
@@ -167,14 +167,14 @@ def input_of(trained: Trained, asked: Observed | None, width: int, has_statistic
     elif shape[:-1] == observation.shape[:-1] and shape[-1] % columns == 0:
         frames, across = shape[-1] // columns, True
     elif len(shape) == 1 and shape[0] % size == 0:
-        raise Refusal(
+        raise Rejection(
             f"takes {shape[0]} numbers, like {shape[0] // size} flattened observations in an order "
             "that it does not state; stack them without flattening"
         )
     if frames > FRAMES_LIMIT:
-        raise Refusal(f"takes {frames} observations at once; expected at most {FRAMES_LIMIT}")
+        raise Rejection(f"takes {frames} observations at once; expected at most {FRAMES_LIMIT}")
     if width != frames * size:
-        raise Refusal(
+        raise Rejection(
             f"layer 0 takes {width} numbers; expected {size}, the observation "
             f"'{observation.name}' of {rows} rows of {columns}; {_NAME_IT}"
         )
@@ -186,7 +186,7 @@ def input_of(trained: Trained, asked: Observed | None, width: int, has_statistic
         newest = trained.bounds.reshape(2, -1)[:, order[-size:]].reshape(2, rows, columns)
         _check_bounds(newest, observation)
     if not has_statistics and _is_normalised(trained, observation, order[-size]):
-        raise Refusal(
+        raise Rejection(
             "was trained with VecNormalize, whose statistics a checkpoint does not hold; save them "
             f"in Python with {_SAVE}, and give --normalise norm.npz; --normalise none if it "
             "normalised rewards only"
@@ -216,17 +216,17 @@ def _stated(where: Mapping[str, Any]) -> tuple[Observed | None, float | None]:
         return None, None
     name = str(where["environment"])[:80]
     if name not in (*_STRAIGHT, *OF_SUITES):
-        raise Refusal(f"was trained in {_OWN}{name}, on whose road suites have no episodes")
+        raise Rejection(f"was trained in {_OWN}{name}, on whose road suites have no episodes")
     try:
         if name not in _STRAIGHT:
             return _on_road(name, where), float(where["decision_hz"])
         speeds = json_of(str(where.get("action", "{}")).encode()).get("target_speeds")
         if speeds not in (None, _TARGET_SPEEDS_MPS):
-            raise Refusal(f"was trained with the target speeds {speeds} m/s, which suites lack")
+            raise Rejection(f"was trained with the target speeds {speeds} m/s, which suites lack")
         observation, hz = observation_described(str(where["observation"])), where["decision_hz"]
         return observation, float(hz)
     except (InputError, LookupError, ValueError, TypeError, AttributeError) as error:
-        raise Refusal(f"was trained on an observation that no agent receives: {error}") from error
+        raise Rejection(f"was trained on an observation that no agent receives: {error}") from error
 
 
 def _on_road(name: str, where: Mapping[str, Any]) -> HighwayEnv:
@@ -234,7 +234,7 @@ def _on_road(name: str, where: Mapping[str, Any]) -> HighwayEnv:
     own = {key: json_of(str(where[key]).encode()) for key in ("observation", "action")}
     space = Episodes(name, 1, own).observers[0].space
     if space.dtype != np.float32:
-        raise Refusal("was trained on pictures; expected an observation with `as_image: false`")
+        raise Rejection("was trained on pictures; expected an observation with `as_image: false`")
     return HighwayEnv(**own, shape=space.shape or ())
 
 
@@ -242,37 +242,37 @@ def actions_of(trained: Trained) -> tuple[MetaAction, ...]:
     """The meta-actions of the environment in which a network was trained.
 
     Raises:
-        Refusal: What the checkpoint says of them cannot be read.
+        Rejection: What the checkpoint says of them cannot be read.
     """
     try:
         return actions_described(str(trained.where.get("actions", "meta")))
     except InputError as error:
-        raise Refusal(f"was trained with meta-actions that cannot be read: {error}") from error
+        raise Rejection(f"was trained with meta-actions that cannot be read: {error}") from error
 
 
 def _check_bounds(bounds: NDArray[np.float64], observation: Observed) -> None:
-    """Refuses an observation (rows, columns) that does not have these bounds."""
+    """Rejects an observation (rows, columns) that does not have these bounds."""
     low, high = bounds
     if (np.abs(bounds) == 1).all() and (low < high).all():
         return  # also those of an environment of somebody's own
     is_unbounded = np.isneginf(low).all() and np.isposinf(high).all()
     if isinstance(observation, Kinematics):
         if not is_unbounded:
-            raise Refusal(
+            raise Rejection(
                 f"was trained on an observation with bounds, and Kinematics has none; {_NAME_IT}"
             )
         return
     if is_unbounded and isinstance(observation, PaperNeighbours):
         return  # the authors' environment has no bounds
     if is_unbounded:
-        raise Refusal(
+        raise Rejection(
             f"was trained on an observation without bounds, and {observation.name} has bounds; for "
             f"highway-env's Kinematics, give --observation '{{type: Kinematics, vehicles_count: "
             f"{len(low)}}}' with the options of its environment; for {observation.name} that was "
             "normalised, give --normalise"
         )
     if not ((low == -high).all() and (high[1:] == 1).all()):
-        raise Refusal(
+        raise Rejection(
             f"was trained on an observation with other bounds than those of {observation.name}, as "
             "behind a wrapper that changes it; an exported network receives the observation itself"
         )
@@ -290,30 +290,30 @@ def read_statistics(path: Path, trained: Trained, order: NDArray[np.int64]) -> d
     They are in the order of the harness. No pickle is loaded.
 
     Raises:
-        Refusal: It cannot be read, or does not fit.
+        Rejection: It cannot be read, or does not fit.
     """
     wanted = f"expected a file made in Python with {_SAVE}; clip=numpy.inf for Gymnasium's wrapper"
     try:
         if not read_limited(path, STATISTICS_LIMIT_BYTES).startswith(b"PK"):
-            raise Refusal(f"{path} is not a NumPy archive; {wanted}")
+            raise Rejection(f"{path} is not a NumPy archive; {wanted}")
         with np.load(path, allow_pickle=False) as archive:
             if sum(each.file_size for each in archive.zip.infolist()) > STATISTICS_LIMIT_BYTES:
-                raise Refusal(f"{path} unpacks to more than {STATISTICS_LIMIT_BYTES:,} bytes")
+                raise Rejection(f"{path} unpacks to more than {STATISTICS_LIMIT_BYTES:,} bytes")
             arrays = {name: np.asarray(archive[name], np.float64) for name in archive.files}
     except OSError as error:
-        raise Refusal(f"{path} cannot be read: {error.strerror or error}") from error
-    except Refusal:
+        raise Rejection(f"{path} cannot be read: {error.strerror or error}") from error
+    except Rejection:
         raise
     except Exception as error:  # zipfile and numpy raise many kinds
-        raise Refusal(f"{path} cannot be read: {error}; {wanted}") from error
+        raise Rejection(f"{path} cannot be read: {error}; {wanted}") from error
     if missing := {"mean", "var", "clip"} - set(arrays):
-        raise Refusal(f"{path} has no {min(missing)}; {wanted}")
+        raise Rejection(f"{path} has no {min(missing)}; {wanted}")
     mean, var, clip = arrays["mean"], arrays["var"], arrays["clip"]
     if mean.size != order.size or var.shape != mean.shape or clip.size != 1:
         shape = trained.shape or (order.size,)
-        raise Refusal(f"{path} has mean {mean.shape} and var {var.shape}; expected {shape}")
+        raise Rejection(f"{path} has mean {mean.shape} and var {var.shape}; expected {shape}")
     variance = var + arrays.get("epsilon", np.array(1e-8)).item()
     if not (np.isfinite(mean).all() and (variance > 0).all() and clip.item() > 0):
-        raise Refusal(f"{path}: expected finite means, and variances and a clip above 0")
+        raise Rejection(f"{path}: expected finite means, and variances and a clip above 0")
     mean, deviation = mean.ravel()[order], np.sqrt(variance).ravel()[order]
     return {"mean": mean, "deviation": deviation, "clip": clip.item()}
