@@ -159,7 +159,7 @@ def selected(values: pl.DataFrame) -> pl.DataFrame:
         charms.with_columns(limits_met=pl.sum_horizontal(*met))
         .group_by("seed")
         .agg(pl.sum("limits_met"), pl.mean("reached", "at_fault", "crashed", "time_s"))
-        .sort(-pl.col("limits_met"), "at_fault", "time_s")
+        .sort("limits_met", "at_fault", "time_s", descending=[True, False, False])
     )
 
 
