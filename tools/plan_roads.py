@@ -41,7 +41,7 @@ GENERIC = [
     {"name": "roundabout-generic-v1", "label": "roundabout-generic-v1, radius 40 m, 3 lanes",
      "configuration": {"roundabout_radius": 40, "roundabout_lanes": 3}},
 ]  # fmt: skip
-PLACES, FILES = ROOT / "suites" / "places", ROOT.parent / "shared" / "data" / "maps"
+PLACES, FILES = ROOT / "tools" / "junctions", ROOT.parent / "shared" / "data" / "maps"
 JUNCTIONS = [{"file": str(PLACES / f"{name}.json"), "label": name.replace("-", " ")}
              for name in ("t-junction", "wide-crossing")]  # fmt: skip
 MAPS = (

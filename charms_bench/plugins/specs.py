@@ -65,7 +65,7 @@ class AgentSpec(_Spec):
                 what = "a network has decision_hz and style"
                 raise ValueError(f"options are for installed agents; {what}")
         elif self.decision_hz is not None or self.style is not None:
-            raise ValueError("decision_hz and style are for networks given by path")
+            raise ValueError("decision_hz is for networks given by path, and so is style")
         return self
 
     @property

@@ -144,7 +144,9 @@ def test_a_style_is_for_networks_that_are_given_one(tmp_path: Path) -> None:
     export(torch.nn.Sequential(layer), file, {}, np.zeros((1, 7, 5), np.float32))
     with pytest.raises(ModelError, match="has no style 'calm': it drives in one style"):
         OnnxPolicy(file, style="calm")
-    with pytest.raises(ValidationError, match="decision_hz and style are for networks given by"):
+    with pytest.raises(
+        ValidationError, match="decision_hz is for networks given by path, and so is style"
+    ):
         AgentSpec.model_validate({"name": "idm_mobil", "style": "calm"})
 
 

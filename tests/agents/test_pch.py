@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from charms_agents.charms import FAMILIES, STYLES, SVOS, agents_of
 from charms_agents.pch import Pch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -26,6 +26,7 @@ def probability(tau: float, beta: float, name: str) -> float:
     return float(along_svo * along_priority)
 
 
+@settings(deadline=None)
 @given(tau=TAUS, beta=BETAS, seed=st.integers(0, 2**32))
 def test_styles_are_as_frequent_as_the_closed_form_says(tau: float, beta: float, seed: int) -> None:
     vehicles = 4000

@@ -282,10 +282,11 @@ def test_environments_are_divided_equally_among_the_conditions() -> None:
 
 
 def test_a_condition_changes_what_it_names_and_nothing_else() -> None:
-    scene = load_training(SHIPPED).stages["level_1"].scene
-    changed_scene = Condition(lanes=5, density=2.0, duration_s=7.0).applied(scene)
+    stage = load_training(SHIPPED).stages["level_1"]
+    scene, traffic = stage.scene, stage.traffic
+    changed_scene = Condition(lanes=5, density=2.0, duration_s=7.0).applied(scene, traffic)
     assert (changed_scene.lanes, changed_scene.density, changed_scene.duration_s) == (5, 2.0, 7.0)
-    assert Condition().applied(scene) == scene
+    assert Condition().applied(scene, traffic) == scene
     named = {"lanes", "density", "duration_s"}
     assert changed_scene.model_dump(exclude=named) == scene.model_dump(exclude=named)
 

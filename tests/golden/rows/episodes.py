@@ -88,7 +88,11 @@ def avoidable(folder: Path) -> Values:
     agents = ["idm_mobil", "stackelberg", "charms"]
     found = avoidability(cell, collisions(cell)[:3], agents=agents)
     records = (json.loads(json.dumps(asdict(each))) for each in found)
-    return {"collisions": [{k: each[k] for k in each if k != "road"} for each in records]}
+    return {
+        "collisions": [
+            {k: each[k] for k in each if k not in ("road", "ego_index")} for each in records
+        ]
+    }
 
 
 TRUCKS = [
