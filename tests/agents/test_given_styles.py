@@ -46,6 +46,7 @@ stages:
     scene: {duration_s: 5.0}
     traffic: idm_mobil
 """
+TUNED = "human: {recordings: none, stages: {tuned: {fine_tunes: drivers}}}\n"
 CAREFUL, HURRIED = (Weights(safety=s, efficiency=1.2 - s, comfort=0.2) for s in (1.0, 0.2))
 
 
@@ -158,6 +159,8 @@ def test_a_style_is_for_networks_that_are_given_one(tmp_path: Path) -> None:
         ("{weights: fast, svo", "{weights: slow, svo", "styles.hurried.weights: no weights named"),
         ("scenes: 12, steps_per_gradient_step: 6", "scenes: 4, steps_per_gradient_step: 2",
          "stages.drivers.styles: 4 scenes a condition are not a multiple"),
+        ("stages:\n  drivers", f"{TUNED}stages:\n  drivers",
+         "human.stages.tuned.fine_tunes: 'drivers' has several styles; expected a stage with one"),
     ],
 )  # fmt: skip
 def test_styles_that_cannot_be_trained_are_named(

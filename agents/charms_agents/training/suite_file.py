@@ -80,6 +80,9 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         if human.fine_tunes is not None:
             key, under = (*place, "fine_tunes"), " under stages"
             _check_name(document, key, "stage", human.fine_tunes, suite.stages, under)
+            if suite.stages[human.fine_tunes].styles:
+                what = f"'{human.fine_tunes}' has several styles; expected a stage with one"
+                raise document.error(key, what)
         if human.drivers == "recorded" and not isinstance(suite.observed, Neighbours):
             what = "recorded drivers are observed as neighbours or paper_neighbours"
             raise document.error(("observation",), f"{what}; found {suite.observed.name}")
