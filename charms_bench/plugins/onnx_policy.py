@@ -317,7 +317,7 @@ def _style(said: str | None, width: int, style: str | None) -> tuple[str | None,
 
 
 def _are_styles(styles: Any, width: int) -> bool:
-    """Whether a value of JSON has styles of so many numbers, which float32 can hold."""
+    """Whether a value of JSON has styles of `width` numbers each, which float32 can hold."""
     if not isinstance(styles, dict) or not styles:
         return False
     if not all(isinstance(each, list) and 0 < len(each) == width for each in styles.values()):

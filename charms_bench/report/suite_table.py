@@ -91,15 +91,15 @@ def time_over(frame: pl.DataFrame) -> str:
         for name in ("goal_reached", "crashed_episodes")
     ]
     both = ended[0].join(ended[1], on=keys)
-    shares = both.with_columns(over=1 - pl.col("goal_reached") - pl.col("crashed_episodes"))
-    if shares.is_empty() or shares["over"].max() < 0.005:  # type: ignore[operator]  # a number
+    proportions = both.with_columns(over=1 - pl.col("goal_reached") - pl.col("crashed_episodes"))
+    if proportions.is_empty() or proportions["over"].max() < 0.005:  # type: ignore[operator]  # a number
         return ""
-    most = shares.row(int(shares["over"].arg_max() or 0), named=True)
+    most = proportions.row(int(proportions["over"].arg_max() or 0), named=True)
     where = " in ".join(str(most[name]) for name in keys)
-    share = f"{most['over']:.1%}".replace("%", " %")
+    proportion = f"{most['over']:.1%}".replace("%", " %")
     return (
         "Episodes with neither the goal nor a crash ended because their time was over: at most "
-        f"{share} ({where})."
+        f"{proportion} ({where})."
     )
 
 

@@ -37,7 +37,7 @@ SLOW_MPS, CLEAR_M = 2.0, 14.0
 AWAY_M = 12.0
 """A slow vehicle further away from its junction does not drive there yet."""
 UNUSED_S = 10.0
-"""A vehicle that has stood for so long does not use its right of way."""
+"""A vehicle that has stood for this time does not use its right of way."""
 HARD_MPS2 = 4.0
 """What a vehicle brakes with that can only just stop."""
 LEAST_MPS, MARGIN_S = 3.0, 1.5

@@ -20,11 +20,11 @@ from charms_bench.maps.sampling import lengths_of
 CLOSE_M, ROOM_M = 3.2, 1.5
 """How close the centres of lanes are where they meet, and how far a centre stays from there."""
 BESIDE_M, SWEPT_M2 = 2.5, 4.0
-"""Two vehicles of 2 m have this room beside each other, and use so much more in curves."""
+"""The room that two vehicles 2 m wide need beside each other, and the factor for curves."""
 SAME_COS = 0.5
 """Lanes at a smaller angle lead in the same direction."""
 BEND_M = 4.0
-"""Curvatures are those of so long a part of a lane."""
+"""The length of the part of a lane whose curvature is computed."""
 REACH_M, STEP_M = 40.0, 0.5
 """So far around a place, and in such steps, lanes are compared."""
 GIVES_WAY, UNKNOWN, GOES_FIRST = -1, 0, 1

@@ -74,7 +74,7 @@ def side_by_side(network: Sequential, factor: float, other: Sequential) -> Seque
 
 
 def widened(network: Sequential, inputs: int) -> Sequential:
-    """The network with so many further inputs, which have no effect."""
+    """The network with `inputs` further inputs, which have no effect."""
     (weight, bias), *others = layers_of(network)
     return network_of([(np.pad(weight, ((0, 0), (0, inputs))), bias), *others])
 
