@@ -60,12 +60,12 @@ class AgentSpec(_Spec):
 
     @model_validator(mode="after")
     def _fits(self) -> "AgentSpec":
-        if is_network(self.name):
-            if self.options:
-                what = "a network has decision_hz and style"
-                raise ValueError(f"options are for installed agents; {what}")
-        elif self.decision_hz is not None or self.style is not None:
-            raise ValueError("decision_hz is for networks given by path, and so is style")
+        if is_network(self.name) and self.options:
+            what = "a network has decision_hz and style"
+            raise ValueError(f"options are for installed agents; {what}")
+        for key in ("decision_hz", "style"):
+            if not is_network(self.name) and getattr(self, key) is not None:
+                raise ValueError(f"{key} is for networks given by path")
         return self
 
     @property

@@ -61,14 +61,14 @@ class EgoEntry(FrozenModel):
     agent: AgentSpec
     """The agent that drives the ego; a plain text is its name, or the path of a network."""
     label: Name | None = None
-    """Its name in tables; by default the agent's."""
+    """Its name in tables; by default the agent's, and its style if it is given one."""
     paper: dict[str, Finite] = Field(default={})
     """Published values of the metrics of the set `paper`, shown beside the measured ones."""
 
     @property
     def title(self) -> str:
         """Its name in tables."""
-        return self.label or self.agent.name
+        return self.label or ", ".join(filter(None, (self.agent.name, self.agent.style)))
 
 
 class TrafficEntry(FrozenModel):

@@ -24,6 +24,7 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import AgentSpec
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.runs.suite import EgoEntry
 from charms_bench.world.scene import SceneSettings
 
 SUITE = """
@@ -115,6 +116,7 @@ def test_the_style_decides_what_the_network_does(tmp_path: Path) -> None:
     made = [spec.make({str(file): file}) for spec in specs]
     assert [policy.decide(seen)[0] for policy in made if isinstance(policy, OnnxPolicy)] == [1, 3]
     assert len({spec.key for spec in specs}) == 2
+    assert [EgoEntry(agent=spec).title for spec in specs] == [f"{file}, calm", f"{file}, quick"]
 
 
 @pytest.mark.parametrize(
@@ -145,9 +147,7 @@ def test_a_style_is_for_networks_that_are_given_one(tmp_path: Path) -> None:
     export(torch.nn.Sequential(layer), file, {}, np.zeros((1, 7, 5), np.float32))
     with pytest.raises(ModelError, match="has no style 'calm': it drives in one style"):
         OnnxPolicy(file, style="calm")
-    with pytest.raises(
-        ValidationError, match="decision_hz is for networks given by path, and so is style"
-    ):
+    with pytest.raises(ValidationError, match="style is for networks given by path"):
         AgentSpec.model_validate({"name": "idm_mobil", "style": "calm"})
 
 
