@@ -9,7 +9,7 @@ from charms_bench.foundation.files import absolute
 from charms_bench.foundation.names import name_of_agent
 from charms_bench.plugins.registry import AGENTS, find
 from charms_bench.runs.document import Document
-from charms_bench.runs.suite import Suite, check_networks, suite_of
+from charms_bench.runs.suite import Suite, check_agents, suite_of
 
 PathLike = str | Path
 
@@ -51,7 +51,7 @@ def asked(
     # Before plugins are imported, which can change the current folder.
     place = absolute(output or "runs")
     loaded = suite_of(document)
-    check_networks(document, loaded)
+    check_agents(document, loaded)
     name = "-".join((loaded.suite + kind, *(name_of_agent(ego["label"]) for ego in added)))
     return Asked(document, loaded, name, place if output else place / name)
 

@@ -58,7 +58,7 @@ def verify(
     """
     from charms_bench.foundation.progress import progress
     from charms_bench.runs.document import Document
-    from charms_bench.runs.suite import check_networks, suite_of
+    from charms_bench.runs.suite import check_agents, suite_of
     from charms_bench.testing import verify as verification
     from charms_bench.testing.road_parity import roads_of
 
@@ -76,7 +76,7 @@ def verify(
     else:
         document = Document(suite)
         loaded = suite_of(document)
-        check_networks(document, loaded)
+        check_agents(document, loaded)
         if loaded.roads:
             _verify_roads(roads_of(loaded), episodes or 20, seed, starts, workers, as_json)
         cases, count = verification.cases_of(loaded), 10

@@ -417,15 +417,25 @@ def _check_types(document: Document, suite: Suite) -> None:
             raise document.error(("scene", *error.location), str(error)) from error
 
 
-def check_networks(document: Document, suite: Suite) -> None:
-    """Raises a `SuiteError` with the line of the first network that cannot be used."""
+def check_agents(document: Document, suite: Suite) -> None:
+    """Raises a `SuiteError` with the line of the first agent that cannot be made as the suite says.
+
+    Those with neither a file nor options are made where they drive.
+    """
     for what, entries in _entries(suite).items():
         for index, entry in enumerate(entries):
-            for name in filter(is_network, _names(entry)):
+            if isinstance(entry, EgoEntry):
+                specs = [entry.agent]
+            else:
+                specs = [AgentSpec(name=name) for name in _names(entry)]
+            for spec in (each for each in specs if is_network(each.name) or each.options):
                 try:
-                    OnnxPolicy(suite.folder / name)
+                    spec.make({spec.name: suite.folder / spec.name})
                 except InputError as error:
-                    place = document.place_of(name, (what, index))
+                    said = [
+                        each for each in (*spec.options, spec.style) if f"'{each}'" in str(error)
+                    ]
+                    place = document.place_of(str(said[0] if said else spec.name), (what, index))
                     raise document.error(place, str(error)) from error
 
 

@@ -140,7 +140,10 @@ def test_without_a_command_only_the_version_is_a_success(
         ("outside_misshapen", "decide returned int64 of shape (6, 2)"),
         ("outside_not_finite", "drive returned nan; expected an acceleration within ±20 m/s²"),
         ("outside_out_of_range", "decide returned action 7; expected 0 to 4"),
-        ("{name: stackelberg, options: {gian: 1}}", "has no option 'gian'. Did you mean 'gain'"),
+        (
+            "{name: stackelberg, options: {gian: 1}}",
+            "suite.yaml:7: egos[1].agent.options.gian: agent 'stackelberg' of",
+        ),
         ("stackelberg, paper: {speed: 1}", "suite.yaml:7: egos[1].paper.speed: no metric named"),
     ],
 )

@@ -17,6 +17,8 @@ import pytest
 import charms_bench
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
+from charms_bench.maps.joining import joined
+from charms_bench.maps.reading import read_road
 from charms_bench.metrics.rows import join_rows
 
 pytest.importorskip("commonroad_crime", reason="run by tox -e crime")
@@ -39,11 +41,22 @@ scene: {duration_s: 8.0, traffic_vehicles: 10, density: 1.5}
 egos: [{agent: charms}, {agent: idm_mobil}]
 traffic_models: [{traffic: idm_mobil}]
 """
+PLACES = Path(__file__).parents[2] / "suites" / "places"
+MAPS = Path(__file__).parents[3] / "shared" / "data" / "maps"
+ON_A_MAP = """\
+suite: on-a-map
+episodes: 1
+seed: 0
+scene: {{profile: roads, duration_s: 5.0}}
+egos: [{{agent: idm_mobil}}]
+roads: [{{file: {}}}]
+"""
 FIRST_VEHICLE = 1001
 ROUNDING_S = 0.00501
 GAP_ERROR_M = 0.00501
 CONSTANT_MPS2 = 0.1
 """Accelerations that differ by no more are equal for commonroad-crime."""
+WITHIN_M, LENGTH_ERROR = 0.01, 1e-3
 ORIENTATION = 1e-9
 """commonroad-crime takes an orientation of exactly 0 for a missing one."""
 Episode = tuple[Replay, Path]
@@ -126,6 +139,53 @@ def test_commonroad_io_reads_the_trajectories_of_the_replay(episodes: list[Episo
             ):
                 read_back = [getattr(state, name) for state in states]
                 np.testing.assert_array_equal(read_back, values[:, vehicle])
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *sorted(PLACES.glob("*.json")),
+        *(MAPS / name for name in ("sumo/mcity.net.xml", "opendrive/carla_town04.xodr")),
+        *sorted((MAPS / "commonroad").glob("*.xml")),
+    ],
+    ids=lambda path: path.name,
+)
+def test_commonroad_io_reads_the_lanes_and_vehicles_of_an_episode_on_a_map(
+    path: Path, tmp_path: Path
+) -> None:
+    if not path.is_file():
+        pytest.skip("needs ../shared/data/maps, road maps")
+    (tmp_path / "suite.yaml").write_text(ON_A_MAP.format(path))
+    run = charms_bench.run(tmp_path / "suite.yaml", tmp_path / "run", workers=1)
+    plan = run.replay(0).plan
+    run.replay(0).write_commonroad(tmp_path / "episode.xml")
+    assert XMLFileWriter.check_validity_of_commonroad_file((tmp_path / "episode.xml").read_bytes())
+    scenario = read(tmp_path / "episode.xml")
+    lanes, network = list(joined(read_road(path)).lanes), scenario.lanelet_network
+    assert len(network.lanelets) == len(lanes)
+    names = {}  # lanelets by the lane that starts and ends there
+    for lanelet in network.lanelets:
+        ends = lanelet.center_vertices[[0, -1]]
+        away = [np.abs(lane.points[[0, -1], :2] * (1, -1) - ends).max() for lane in lanes]
+        names[lanelet.lanelet_id] = lanes[int(np.argmin(away))]
+        assert min(away) < WITHIN_M
+    for lanelet in network.lanelets:
+        lane = names[lanelet.lanelet_id]
+        assert {names[each].id for each in lanelet.successor} == {*lane.successors}
+        assert lanelet.distance[-1] == pytest.approx(lane.length, rel=LENGTH_ERROR)
+        (limit,) = {
+            float(element.additional_values[0])
+            for sign in lanelet.traffic_signs
+            for element in network.find_traffic_sign_by_id(sign).traffic_sign_elements
+        }
+        assert limit == pytest.approx(lane.speed_limit)
+    for vehicle in np.nonzero(plan.present.any(axis=0) & ~plan.is_obstacle[0])[0].tolist():
+        obstacle = scenario.obstacle_by_id(FIRST_VEHICLE + vehicle)
+        for frame in np.nonzero(plan.present[:, vehicle])[0].tolist():
+            state, place = obstacle.state_at_time(frame), (frame, vehicle)
+            assert (*state.position, state.velocity, state.orientation) == (
+                plan.x[place], -plan.y[place], plan.speed[place], -plan.heading[place]
+            )  # fmt: skip
 
 
 def test_each_vehicle_is_on_the_lanelet_of_its_lane(episodes: list[Episode]) -> None:
