@@ -25,7 +25,6 @@ from charms_bench.foundation.words import counted
 from charms_bench.metrics import PAPER, ROADS, SCENARIOS, WARM_UP_S, MetricSet, standard_after
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network, make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.cells import title_of
