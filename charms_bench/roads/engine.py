@@ -11,40 +11,43 @@ models before it. All vehicles of one model see the scene as it was before any o
 the vehicles of the environment decide, and all move.
 """
 
-import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from itertools import chain
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from charms_bench.engine.meta_actions import command, command_rule, nearest_target_speed, obey
 from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.shown import Shown
 from charms_bench.engine.state import ARRAYS, SceneState
-from charms_bench.engine.stepping import BeforeMove, Put
+from charms_bench.engine.stepping import BeforeMove
 from charms_bench.errors import InputError
-from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
-from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import seeded, with_draws
 from charms_bench.plugins.agent import DriverModel, Policy
+from charms_bench.roads.carrying_out import (
+    BY_CONFIGURATION,
+    BY_CONTROLS,
+    BY_ENVIRONMENT,
+    BY_MODEL,
+    BY_TARGETS,
+    advance,
+    carry_out,
+    show,
+    show_each,
+)
 from charms_bench.roads.configured_egos import configured
-from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import episodes_of_agents
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.inflow import RoadInflow
 from charms_bench.roads.junctions import RoadJunctions
-from charms_bench.roads.locating import forget, locate
-from charms_bench.roads.looking_ahead import look_ahead
+from charms_bench.roads.packed_arrays import check_values, pack, unpack, width_of
 from charms_bench.roads.plan import plan_of
-from charms_bench.roads.right_of_way import enforce
-from charms_bench.roads.room import is_safe
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
@@ -53,20 +56,13 @@ from charms_bench.roads.scenes import (
     OBSTACLE,
     ROUTE_STEPS,
     VEHICLE,
-    Here,
-    Row,
-    Scenes,
-    here_of,
-    lane_of,
     list_all_by_place,
     tidy_all,
-    vehicle_of,
 )
 from charms_bench.roads.scripts import RoadScript
 from charms_bench.roads.settings import ONLY_EGOS, profiles_of, room_on
 from charms_bench.roads.sizes import set_types
-from charms_bench.roads.stepping import collide, move_all
-from charms_bench.roads.straightened import BEHIND, Ways, find_way, straighten
+from charms_bench.roads.straightened import BEHIND, Ways
 from charms_bench.roads.views import RoadViews
 from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, MetaAction, controls_of
 from charms_bench.world.plan import Lines, Plan, lines_of
@@ -77,20 +73,8 @@ _COLUMNS["impact"] = "has_impact"
 """The columns of the table of vehicles that are arrays of a `Scene`."""
 _NETWORK_ONLY = [name for name in VEHICLE.names or () if name not in (*ARRAYS, "has_impact")]
 """The other columns that are no arrays of a `SceneState`."""
-_KEPT = (
-    *(*_NETWORK_ONLY, "order", "time", "steps", "entries", "goals", "entered"),
-    *(f"{name} of ways" for name in Ways._fields),
-)
-"""The names of `RoadEngine._kept`."""
-_LARGEST = 1e9
-"""Bound of all numbers of a state, so that nothing overflows."""
 _LARGEST_POWER = 1e20
 """That of a speed over a target speed of almost 0, to the power of IDM's exponent."""
-BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS, BY_CONFIGURATION = range(5)
-"""What drives a vehicle: highway-env's environment, target speeds and lanes, a driver model,
-continuous actions, or actions that highway-env's environment carries out."""
-
-
 EGO, OTHER_EGO, TRAFFIC = range(3)
 """The role of a vehicle: the ego whose rows are made, another ego, or none."""
 
@@ -383,12 +367,10 @@ class RoadEngine(Shown):
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
         self._show(rows[self._moved[rows]])  # which finds the ways, a part of the state
         own = chain.from_iterable(egos.state for egos in self.configured.values())
-        kept = (array[rows].astype(packed(array.dtype)) for array in (*self._kept, *own))
-        each = [array.reshape(rows.size, math.prod(array.shape[1:])) for array in kept]
-        return np.concatenate([array.view(np.uint8) for array in each], axis=1)
+        return pack((*self._kept.values(), *own), rows)
 
     def check(self, state: SceneState) -> None:
-        expected = _bytes_of(self._kept)
+        expected = width_of(self._kept.values())
         if state.network.shape[1] not in (expected, expected + self._bytes_of_configured):
             found = state.network.shape[1]
             raise InputError(f"network: found {found} bytes per scene, expected {expected}")
@@ -409,31 +391,28 @@ class RoadEngine(Shown):
             "entered": (0, self.arrivals),
             "free_acceleration": (-_LARGEST_POWER, _LARGEST_POWER),
         }
-        for name, part in self._parts(state.network).items():
-            for field in part.dtype.names or ("",):
-                named = f"{name}.{field}" if field else name
-                _check_values(named, part[field] if field else part, bounds.get(named))
+        parts = unpack(state.network, self._kept)
+        check_values(parts, bounds, may_be_nan="entries.")
         if not ((lane[0] <= state.target_lane) & (state.target_lane <= lane[1])).all():
             raise InputError(f"target_lane: expected lanes from 0 to {lane[1]}")
-        order = self._parts(state.network)["order"]["place"]
-        if (np.sort(order, axis=1) != np.arange(places)).any():
+        if (np.sort(parts["order"]["place"], axis=1) != np.arange(places)).any():
             raise InputError("network: order.place: expected each place once")
 
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
         assert saved is not None
-        for array, part in zip(self._kept, self._parts(saved).values(), strict=True):
-            array[rows] = part
+        kept = self._kept
+        for name, part in unpack(saved, kept).items():
+            kept[name][rows] = part
         self._fault.start(rows)
-        start = _bytes_of(self._kept)
+        start = width_of(kept.values())
         is_own = saved.shape[1] == start + self._bytes_of_configured
         for egos in self.configured.values():
             egos.resume(rows)
             for array in egos.state if is_own else ():
-                end = start + _bytes_of((array,))
-                part = np.ascontiguousarray(saved[:, start:end]).view(array.dtype)
-                array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
+                array[rows] = unpack(saved[:, start:], {"": array})[""]
+                start += width_of((array,))
         self._seed(rows, seeds)
         vehicles = self.episodes.scenes.vehicles
         had_targets = vehicles["kind"][rows] > CONTINUOUS
@@ -451,26 +430,23 @@ class RoadEngine(Shown):
 
     @property
     def _bytes_of_configured(self) -> int:
-        return sum(_bytes_of(egos.state) for egos in self.configured.values())
-
-    def _parts(self, saved: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
-        """What was `saved` of S scenes, [S, ...] by name, in the order of `_kept`."""
-        parts, start = {}, 0
-        for name, array in zip(_KEPT, self._kept, strict=True):
-            kind = packed(array.dtype)
-            end = start + array[0].size * kind.itemsize
-            part = np.ascontiguousarray(saved[:, start:end]).view(kind)
-            parts[name], start = part.reshape(len(saved), *array.shape[1:]), end
-        return parts
+        return sum(width_of(egos.state) for egos in self.configured.values())
 
     @property
-    def _kept(self) -> tuple[NDArray[Any], ...]:
+    def _kept(self) -> dict[str, NDArray[Any]]:
         """The arrays [B, ...] from which scenes continue, beside those of `state`."""
         scenes = self.episodes.scenes
-        own = (scenes.vehicles[name] for name in _NETWORK_ONLY)
-        counted = scenes.order, scenes.time, scenes.steps, self._entries.table, self.goals
         entered = self._inflow.entered if self._inflow else np.zeros((len(scenes.order), 0), int)
-        return (*own, *counted, entered, *self._ways)
+        return {
+            **{name: scenes.vehicles[name] for name in _NETWORK_ONLY},
+            "order": scenes.order,
+            "time": scenes.time,
+            "steps": scenes.steps,
+            "entries": self._entries.table,
+            "goals": self.goals,
+            "entered": entered,
+            **{f"{name} of ways": array for name, array in self._ways._asdict().items()},
+        }
 
     def plan(self, row: int) -> Plan:
         """Where the vehicles of a scene are on its network, for pictures."""
@@ -604,206 +580,3 @@ class RoadEngine(Shown):
 def _are(drivers: Ints, agents: Collection[int]) -> Bools:
     """Whether each driver is one of some agents, of which there are mostly none."""
     return np.isin(drivers, list(agents)) if agents else np.zeros(drivers.shape, dtype=np.bool_)
-
-
-@compiled_of_scenes
-def show(scenes: Scenes, shown: Any, ways: Any, rows: Ints) -> None:
-    """Straightens the scenes `rows` as their egos see them."""
-    known = ways.scene
-    for b in rows:
-        here = here_of(scenes, b)
-        for i in range(here.places):
-            forget(here, i)
-        straighten(scenes, here, known, b, 0, shown.scene, b)
-
-
-@compiled_of_scenes
-def show_each(scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, places: Ints) -> None:
-    """Straightens scenes as each of M vehicles sees them."""
-    scene, view, known, last = shown.scene, views.scene, ways.scene, -1
-    for m in range(rows.size):
-        b, v = rows[m], rows[m] * scene.x.shape[1] + places[m]
-        here = here_of(scenes, b)
-        for i in range(here.places):
-            if b != last:
-                forget(here, i)
-            view.temperament[v, i] = scene.temperament[b, i]
-            view.repeats[v, i] = scene.repeats[b, i]
-            view.entry[v, i] = scene.entry[b, i]
-            for k in range(scene.parameters.shape[2]):
-                view.parameters[v, i, k] = scene.parameters[b, i, k]
-            for k in range(scene.memory.shape[2]):
-                view.memory[v, i, k] = scene.memory[b, i, k]
-        straighten(scenes, here, known, b, places[m], view, v)
-        last = b
-
-
-@compiled_of_scenes
-def carry_out(scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, places: Ints) -> None:
-    """Has M vehicles do what their views say."""
-    scene, view, known, last = shown.scene, views.scene, ways.scene, -1
-    for m in range(rows.size):
-        b, i, v = rows[m], places[m], rows[m] * scene.x.shape[1] + places[m]
-        here = here_of(scenes, b)
-        for j in range(here.places if b != last else 0):
-            forget(here, j)
-        take(here, known, b, i, view, v)
-        last = b
-
-
-@compiled
-def take(here: Here, ways: Ways, b: int, i: int, scene: Scene, v: int) -> None:
-    """Has vehicle i of scene b want what scene v says, in which the agent sees it.
-
-    Where the route decides the lane, the agent does not.
-    """
-    vehicle = vehicle_of(here, i)
-    vehicle.target_speed, vehicle.timer_s = scene.target_speed[v, i], scene.timer_s[v, i]
-    if decides_lane(here, vehicle) or scene.target_lane[v, i] == ways.targets[b, i]:
-        return
-    row = lane_of(here, vehicle.lane)
-    lane = row.first + scene.target_lane[v, i]
-    if scene.target_lane[v, i] < row.lanes and is_reachable(here, i, lane):
-        vehicle.target_lane = lane
-
-
-@compiled
-def decides_lane(here: Here, vehicle: Row) -> bool:
-    """Whether a vehicle has to change its lane: its route says so, or its lane is a ramp."""
-    is_on_route = vehicle.route_step < vehicle.route_end
-    if is_on_route and vehicle.route_numbers[vehicle.route_step] >= 0:
-        return True
-    row = lane_of(here, vehicle.lane)
-    return bool(row.forbidden and row.lanes > 1)
-
-
-def _check_values(name: str, values: NDArray[Any], bounds: tuple[float, float] | None) -> None:
-    """Rejects what compiled code must not meet; only the measures of an entry can be missing."""
-    if values.dtype.kind == "b":
-        valid = values.view(np.uint8) <= 1
-    else:
-        low, high = bounds or (-_LARGEST, _LARGEST)
-        valid = (low <= values) & (values <= high)
-        valid |= name.startswith("entries.") & np.isnan(values)
-    if not valid.all():
-        what = f"{bounds[0]} to {bounds[1]}" if bounds else "finite numbers"
-        raise InputError(f"network: {name}: found {values[~valid][0]}, expected {what}")
-
-
-def _bytes_of(arrays: Iterable[NDArray[Any]]) -> int:
-    """The bytes per scene of arrays [B, ...]."""
-    return sum(array[0].size * packed(array.dtype).itemsize for array in arrays)
-
-
-def packed(kind: np.dtype[Any]) -> np.dtype[Any]:
-    """The type without the bytes between fields, which hold anything."""
-    return np.dtype(repack_fields(kind)) if kind.names else kind
-
-
-@compiled_of_scenes
-def advance(
-    scenes: Scenes,
-    shown: Any,
-    views: Any,
-    ways: Any,
-    rows: Ints,
-    told: Bools,
-    kinds: Ints,
-    put: Put | None,
-) -> None:
-    """One simulation step of the scenes `rows`, after the agents have answered.
-
-    Args:
-        scenes: The scenes.
-        shown: The same, straightened as their egos see them, with the answers.
-        views: As each vehicle sees them, with the accelerations of driver models.
-        ways: The ways of the vehicles.
-        rows: (R,) the scenes to advance.
-        told: (R,) whether `shown` is the present moment; if not, the ego goes on as it did.
-        kinds: (B, N) what drives the vehicles.
-        put: Where the step ends for vehicles that follow a recording; None if there are none.
-    """
-    profile = shown.scene.constants
-    can_reverse = profile.can_reverse and profile.speed_min < 0.0
-    known = ways.scene
-    for r in range(rows.size):
-        b, scene = rows[r], shown.scene
-        here = here_of(scenes, b)
-        for i in range(here.places):
-            forget(here, i)
-        ego = vehicle_of(here, 0)
-        acceleration, steering = ego.acceleration, ego.steering
-        if told[r] and kinds[b, 0] != BY_CONFIGURATION:
-            acceleration, steering = scene.acceleration[b, 0], scene.steering[b, 0]
-            take(here, known, b, 0, scene, b)
-        for i in range(here.places):
-            as_there = kinds[b, i] in (BY_ENVIRONMENT, BY_CONFIGURATION)
-            if not as_there and decides_lane(here, vehicle_of(here, i)):
-                change_to_route(here, i)
-        if here.constants.looks_ahead:
-            look_ahead(here)
-        act(scenes.road, here)
-        for i in range(here.places):
-            kind, vehicle = kinds[b, i], vehicle_of(here, i)
-            if kind == BY_MODEL and i > 0:
-                vehicle.acceleration = views.scene.acceleration[b * here.places + i, i]
-            elif i == 0 and kind not in (BY_TARGETS, BY_CONFIGURATION):
-                vehicle.acceleration = acceleration
-            if kind == BY_CONTROLS:
-                vehicle.steering = steering if i == 0 else vehicle.steering
-                vehicle.target_lane = vehicle.lane
-        if here.constants.regulation_steps:
-            scenes.steps[b] += 1
-            if scenes.steps[b] % here.constants.regulation_steps == 0:
-                enforce(scenes.road, here)
-        move_all(here)
-        if put is not None:
-            put_vehicles(here, b, put)
-        for i in range(here.places):
-            vehicle = vehicle_of(here, i)
-            if kinds[b, i] == BY_ENVIRONMENT:
-                continue
-            if vehicle.speed < 0.0 and not (can_reverse or kinds[b, i] == BY_CONFIGURATION):
-                vehicle.acceleration -= vehicle.speed / here.constants.dt
-                vehicle.speed = 0.0
-            vehicle.timer_s += here.constants.dt
-            find_way(scenes, b, i, known)
-        collide(here)
-
-
-@compiled
-def put_vehicles(here: Here, b: int, put: Put) -> None:
-    """Puts the vehicles of scene b that follow a recording where they are to be."""
-    for i in range(here.places):
-        if put.moves[b, i]:
-            vehicle = vehicle_of(here, i)
-            vehicle.x, vehicle.y, vehicle.heading = put.x[b, i], put.y[b, i], put.heading[b, i]
-            vehicle.speed, vehicle.acceleration = put.speed[b, i], put.acceleration[b, i]
-            vehicle.direction_y, vehicle.direction_x = maths.sin_cos(vehicle.heading)
-            vehicle.steering = 0.0
-            locate(here, i)
-            vehicle.target_lane = vehicle.lane
-
-
-@compiled
-def change_to_route(here: Here, i: int) -> None:
-    """Has vehicle i change to the lane of its route, or leave a ramp, where `is_safe` says so.
-
-    It changes lane by lane. highway-env forbids others to change to the lanes of a ramp.
-    """
-    vehicle = vehicle_of(here, i)
-    row = lane_of(here, vehicle.lane)
-    if vehicle.crashed:
-        return
-    if vehicle.lane != vehicle.target_lane:
-        is_aside = row.first == lane_of(here, vehicle.target_lane).first
-        if is_aside and not is_safe(here, i, vehicle.target_lane):
-            vehicle.target_lane = vehicle.lane
-        return
-    if row.forbidden:
-        side = max(row.left, row.right)
-    else:
-        wanted = row.first + vehicle.route_numbers[vehicle.route_step]
-        side = row.right if wanted > vehicle.lane else row.left if wanted < vehicle.lane else -1
-    if side >= 0 and is_reachable(here, i, side) and is_safe(here, i, side):
-        vehicle.target_lane = side

@@ -22,6 +22,7 @@ from charms_bench.report.first_speeds import said_of
 from charms_bench.roads import OF_SUITES
 from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.engine import RoadEngine
+from charms_bench.roads.packed_arrays import unpack
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.scenes import COMMANDED, OBSTACLE
 from charms_bench.roads.settings import on_road
@@ -356,7 +357,7 @@ def test_a_state_with_an_impossible_index_is_rejected(column: str) -> None:
     made = simulation("merge-v0", "idm_mobil", 1)
     assert isinstance(made.engine, RoadEngine)
     state = made.state()
-    parts = made.engine._parts(state.network)
+    parts = unpack(state.network, made.engine._kept)
     start = sum(each.nbytes for each in [*parts.values()][: [*parts].index(column)])
     wrong = state.network.copy()
     wrong[0, start : start + 8] = np.frombuffer(np.int64(10_000).tobytes(), np.uint8)
