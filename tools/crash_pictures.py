@@ -1,4 +1,6 @@
-"""Draws crashes of a run on roads for people who judge them: `python tools/crash_pictures.py RUN OUT`.
+"""Draws crashes of a run on roads, for people who judge them.
+
+    python tools/crash_pictures.py RUN OUT
 
 OUT/K.png shows crash K four times, without what the rule of fault says: where the ego (green) and
 the others were, with their speeds in m/s and the ways of the last 4 s. Surfaces with the right of
@@ -50,8 +52,9 @@ def draw(replay: Replay, path: Path) -> None:
             half = plan.length[now, k] / 2, plan.width[now, k] / 2
             cos, sin = np.cos(plan.heading[now, k]), np.sin(plan.heading[now, k])
             corners = np.array([(1, 0), (0.4, 1), (-1, 1), (-1, -1), (0.4, -1)]) * half
-            turned = corners @ np.array([(cos, sin), (-sin, cos)])
-            axes.fill(*(turned + (plan.x[now, k], plan.y[now, k])).T, colour, ec="black", lw=0.6)
+            centre = np.array([plan.x[now, k], plan.y[now, k]])
+            outline = corners @ np.array([(cos, sin), (-sin, cos)]) + centre
+            axes.fill(*outline.T, colour, ec="black", lw=0.6)
             place = plan.x[now, k] + 2.5, plan.y[now, k] - 2.5
             axes.text(*place, f"{plan.speed[now, k]:.1f}", fontsize=9, clip_on=True)
         x, y = plan.x[last, 0], plan.y[last, 0]

@@ -327,8 +327,8 @@ def _engine_of(
     if settings.network is None:
         note_compiling(advance, ENGINE)
         return "batched"
-    from charms_bench.roads.engine import RoadEngine
     from charms_bench.roads.carrying_out import advance as advance_on_road
+    from charms_bench.roads.engine import RoadEngine
     from charms_bench.roads.settings import problem_of_driver  # slow to import
 
     for name, agent in agents.items():

@@ -9,7 +9,6 @@ without starts, as soon as there is space. So do wrecks after `WRECK_S`, and veh
 stood for `STATIONARY_S` and the longest cycle of the map's lights.
 """
 
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,15 +19,22 @@ from numpy.typing import NDArray
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.foundation.generator import integers, uniform
 from charms_bench.maps.road_map import RoadMap
+from charms_bench.roads.coming_and_going import (
+    NARROW_M,
+    Places,
+    Rule,
+    aim_at,
+    come_and_go,
+    place_all,
+    send_on,
+)
 from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.giving_way import (
     LINE_M,
     MOST_AHEAD,
     RED,
     RED_BEFORE,
-    SLOW_MPS,
     Ahead,
     give_way,
     look_along,
@@ -36,68 +42,26 @@ from charms_bench.roads.giving_way import (
 from charms_bench.roads.goal_states import have_met
 from charms_bench.roads.inflow import ENTRY_M
 from charms_bench.roads.layout import Edge
-from charms_bench.roads.locating import coordinates_of, forget, locate
-from charms_bench.roads.looking_ahead import BRAKING_MPS2, speed_ahead
 from charms_bench.roads.map_lanes import driven_lanes, indices_of, levels_of, map_of
 from charms_bench.roads.meetings import Meetings, meetings_of
 from charms_bench.roads.recorded_scenes import enter, on_road, put_recorded, scene_of
-from charms_bench.roads.routes import Routes, plan_way, routes_of
+from charms_bench.roads.routes import Routes, routes_of
 from charms_bench.roads.scenes import (
-    COMMANDED,
     IDM,
-    NOTHING,
     OBSTACLE,
-    Here,
-    Row,
     Scenes,
-    here_of,
-    index_of,
-    list_by_place,
-    place_near,
 )
-from charms_bench.roads.task import Task, draw_behaviour
+from charms_bench.roads.task import Task
 from charms_bench.world.named_road import DRAWN
-from charms_bench.world.road import heading_at, local_coordinates, position, width_at
+from charms_bench.world.road import local_coordinates, width_at
 from charms_bench.world.scene import Vehicles
 
 MOST_VEHICLES = 2000
-NEAREST_M = 100.0
-"""The least way to the ego's goal."""
-SPACE_M, HEADWAY_S = 8.0, 1.5
-"""Around a vehicle that appears, there is as much space, and along its lane as much more time."""
-DRAWS, ENTERING_DRAWS = 200, 5
-"""So often, a place is drawn at the start, and by a vehicle that comes back."""
-NARROW_M = 2.5
-"""Where a lane is narrower, such as at its beginning beside others, no vehicle appears."""
 BETWEEN_M = 20.0
 """A shorter lane between junctions is part of them: a vehicle that waits there is in the way."""
-STATIONARY_MPS = 0.5
-WRECK_S, STATIONARY_S = 10.0, 120.0
-LEFT, CLEARED, FREED, ENTERED = range(1, 5)
-"""What happens to a vehicle after a decision: it leaves, as a wreck, or after it has stood for a
-long time; or it comes back."""
-
-
-class Rule(NamedTuple):
-    """What the functions below need to know."""
-
-    egos: int
-    vehicles: int
-    """With the egos, at the start."""
-    interval: float
-    """Between decisions, s."""
-    duration: float
-    entering_draws: int
-    """How often a vehicle that comes back draws a place; 0 if none does."""
-    patience: float
-    """A vehicle that has stood for longer is taken out, s."""
-
-
-class Places(NamedTuple):
-    """Where vehicles appear: lanes, and the sums of their lengths up to each."""
-
-    lanes: Ints
-    until: Floats
+STATIONARY_S = 120.0
+ENTERING_DRAWS = 5
+"""So often, a vehicle that comes back draws a place."""
 
 
 class Lights(NamedTuple):
@@ -192,7 +156,7 @@ class FileRoad(Task):
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         if self._recorded is None:
-            _start(scenes, rows, self._rule, self._everywhere, self.routes, self._inside)
+            place_all(scenes, rows, self._rule, self._everywhere, self.routes, self._inside)
         else:
             numbers = np.zeros_like(rows) if self.numbers is None else self.numbers[rows]
             put_recorded(scenes, rows, numbers, self._recorded, self.routes)
@@ -222,7 +186,7 @@ class FileRoad(Task):
         return lanes[np.array(wide, dtype=np.bool_)]
 
     def send(self, scenes: Scenes, b: int, i: int) -> None:
-        _send(scenes, b, i, self.routes, self._inside)
+        send_on(scenes, b, i, self.routes, self._inside)
 
     def head_for(self, scenes: Scenes, rows: Ints, i: int, destination: str) -> None:
         """Sends it to the end of the first road that leads to the node and is a goal."""
@@ -230,7 +194,7 @@ class FileRoad(Task):
         goals = [g for g, first in enumerate(self.routes.goals.tolist()) if first in ends]
         if not goals:
             raise InputError(f"destination: no road outside of junctions leads to '{destination}'")
-        _head_for(scenes, rows, i, self.routes, goals[0])
+        aim_at(scenes, rows, i, self.routes, goals[0])
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         """There is no reward; environments have their own."""
@@ -242,7 +206,7 @@ class FileRoad(Task):
         starts = self._everywhere if self._starts is None else self._starts
         at_start = self._starts is not None
         lists = self._links, self._ends
-        _follow(
+        come_and_go(
             scenes,
             rows,
             self._rule,
@@ -308,283 +272,6 @@ def show_lights(lights: Lights, time: float, is_red: Ints) -> None:
 
 def _places(lanes: Ints, weights: Floats) -> Places:
     return Places(lanes, np.cumsum(weights[lanes]))
-
-
-@compiled
-def draw_lane(state: Any, places: Places) -> int:
-    """A lane, by the weights of the lanes."""
-    k = int(np.searchsorted(places.until, uniform(state, 0.0, places.until[-1])))
-    return int(places.lanes[min(k, places.lanes.size - 1)])
-
-
-@compiled
-def draw_goal(
-    scenes: Scenes, b: int, routes: Routes, lane: int, nearest: float, furthest: float
-) -> int:
-    """A goal at so long a way from the start of a lane, on another road; -1 if there is none."""
-    first, count = scenes.road.lanes[lane].first, 0
-    for g in range(routes.goals.size):
-        is_other = routes.goals[g] != first
-        count += is_other and nearest <= routes.distance[g, lane] < furthest
-    if count == 0:
-        return -1
-    number = integers(scenes.generator[b], 0, count)
-    for g in range(routes.goals.size):
-        is_other = routes.goals[g] != first
-        if is_other and nearest <= routes.distance[g, lane] < furthest:
-            if number == 0:
-                return g
-            number -= 1
-    return -1
-
-
-@compiled
-def is_free(scenes: Scenes, b: int, i: int, lane: int, s: float) -> bool:
-    """Whether there is space for vehicle i on a lane, at its limit as the speed."""
-    road = scenes.road
-    x, y = position(road, lane, s, 0.0)
-    limit, half = road.lanes[lane].speed_limit, width_at(road, lane, s) / 2
-    if half < NARROW_M / 2:
-        return False
-    for j in range(scenes.vehicles.shape[1]):
-        other = scenes.vehicles[b, j]
-        dx, dy = other.x - x, other.y - y
-        away = math.sqrt(dx * dx + dy * dy)
-        along = SPACE_M + HEADWAY_S * max(limit, other.speed)
-        if j == i or other.kind == NOTHING or away > along:
-            continue
-        if away < SPACE_M or abs(local_coordinates(road, lane, other.x, other.y)[1]) < half:
-            return False
-    return True
-
-
-@compiled
-def appear(
-    scenes: Scenes,
-    here: Here,
-    b: int,
-    at: tuple[int, int, float],
-    kind: int,
-    goal: int,
-    routes: Routes,
-    inside: Ints,
-) -> bool:
-    """Puts a vehicle on a lane if there is space, as fast as it may be there.
-
-    `at` is its place, the lane, and how far along it. An IDM vehicle draws its goal. It can stop
-    before the next junction; `inside` (L,) says which lanes are in junctions.
-    """
-    i, lane, s = at
-    row = scenes.road.lanes[lane]
-    speed = row.speed_limit
-    x, y = position(scenes.road, lane, s, 0.0)
-    if not is_free(scenes, b, i, lane, s):
-        return False
-    place_near(scenes, b, i, kind, lane, x, y, heading_at(scenes.road, lane, s), speed)
-    vehicle = scenes.vehicles[b, i]
-    locate(here, i)
-    vehicle.target_lane, vehicle.goal = vehicle.lane, goal
-    vehicle.speed = set_off(scenes, here, b, i, routes, inside, row.length - s)
-    if kind == IDM:
-        vehicle.target_speed = vehicle.speed
-    else:
-        vehicle.speed_index = index_of(vehicle.speed, scenes.target_speeds)
-        vehicle.target_speed = scenes.target_speeds[vehicle.speed_index]
-    return True
-
-
-@compiled
-def set_off(
-    scenes: Scenes, here: Here, b: int, i: int, routes: Routes, inside: Ints, left_m: float
-) -> float:
-    """Gives a vehicle its way, and returns how fast it may be so far from the end of its lane."""
-    vehicle = scenes.vehicles[b, i]
-    vehicle.speed_min = 0.0
-    if vehicle.kind == IDM:
-        vehicle.goal = draw_goal(scenes, b, routes, vehicle.lane, 0.0, np.inf)
-        draw_behaviour(scenes, b, i)
-    plan_way(vehicle, scenes.road, routes, vehicle.lane, True)
-    speed = speed_ahead(here, i)
-    if vehicle.route_end > 1 and inside[vehicle.route_roads[1]]:
-        speed = min(speed, math.sqrt(2 * BRAKING_MPS2 * max(left_m - LINE_M, 0.0)))
-    return speed
-
-
-@compiled_of_scenes
-def _send(scenes: Scenes, b: int, i: int, routes: Routes, inside: Ints) -> None:
-    """Gives a vehicle that has flowed in a goal."""
-    here, vehicle = here_of(scenes, b), scenes.vehicles[b, i]
-    forget(here, i)
-    left_m = scenes.road.lanes[vehicle.lane].length - coordinates_of(here, i, vehicle.lane).s
-    speed = set_off(scenes, here, b, i, routes, inside, left_m)
-    vehicle.speed = min(vehicle.speed, speed)
-
-
-@compiled_of_scenes
-def _head_for(scenes: Scenes, rows: Ints, i: int, routes: Routes, goal: int) -> None:
-    """Gives a vehicle a goal, and its way there."""
-    for b in rows:
-        scenes.vehicles[b, i].goal = goal
-        plan_way(scenes.vehicles[b, i], scenes.road, routes, scenes.vehicles[b, i].lane, True)
-
-
-@compiled_of_scenes
-def _start(
-    scenes: Scenes, rows: Ints, rule: Rule, everywhere: Places, routes: Routes, inside: Ints
-) -> None:
-    """Places the egos with their goals, and the other vehicles."""
-    road, places = scenes.road, scenes.vehicles.shape[1]
-    for b in rows:
-        state, here = scenes.generator[b], here_of(scenes, b)
-        scenes.steps[b] = 0
-        for i in range(places):
-            scenes.vehicles[b, i].kind = NOTHING
-            scenes.order[b, i].place = i
-            forget(here, i)
-        for i in range(rule.egos):
-            for attempt in range(DRAWS):
-                lane = draw_lane(state, everywhere)
-                row = road.lanes[lane]
-                s = uniform(state, 0.0, row.length)
-                most = 0.5 * rule.duration * row.speed_limit
-                goal = draw_goal(scenes, b, routes, lane, s + NEAREST_M, s + most)
-                is_last = attempt == DRAWS - 1
-                if goal < 0 and not is_last and (attempt < DRAWS // 2 or row.length < NEAREST_M):
-                    continue
-                goal_s = 0.0
-                if goal < 0:  # it is the end of its own road, or as far as it can get
-                    goal, goal_s = own_goal(routes, row.first), min(s + most, row.length)
-                if appear(scenes, here, b, (i, lane, s), COMMANDED, goal, routes, inside):
-                    scenes.vehicles[b, i].goal_s = goal_s
-                    break
-        for i in range(rule.egos, rule.vehicles):
-            for _ in range(DRAWS):
-                lane = draw_lane(state, everywhere)
-                s = uniform(state, 0.0, road.lanes[lane].length)
-                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes, inside):
-                    break
-        list_by_place(scenes, b)
-
-
-@compiled
-def own_goal(routes: Routes, first: int) -> int:
-    """The goal that is a road; -1 if it is none."""
-    for g in range(routes.goals.size):
-        if routes.goals[g] == first:
-            return g
-    return -1
-
-
-@compiled_of_scenes
-def _follow(
-    scenes: Scenes,
-    rows: Ints,
-    rule: Rule,
-    starts: Places,
-    at_start: bool,
-    links: tuple[Ints, Ints],
-    routes: Routes,
-    inside: Ints,
-    happened: Ints,
-) -> None:
-    """Has vehicles find their ways, leave and come back; see the module."""
-    for b in rows:
-        here, has_changed = here_of(scenes, b), False
-        scenes.steps[b] += 1
-        for i in range(here.places):
-            forget(here, i)
-            vehicle = scenes.vehicles[b, i]
-            happened[b, i] = 0
-            if not is_stationary(vehicle):
-                vehicle.stood_s *= abs(vehicle.speed) < SLOW_MPS
-            else:
-                vehicle.stood_s += rule.interval
-            if i >= rule.egos and vehicle.kind > OBSTACLE and vehicle.checks_collisions:
-                happened[b, i] = fate(scenes, b, i, rule)
-                if happened[b, i] > 0:
-                    vehicle.kind, has_changed = NOTHING, True
-            if vehicle.kind > OBSTACLE:
-                find_route(scenes, b, i, rule, links, routes)
-        for i in range(rule.egos, here.places if rule.entering_draws else 0):
-            if scenes.vehicles[b, i].kind != NOTHING:
-                continue
-            for _ in range(rule.entering_draws):
-                lane = draw_lane(scenes.generator[b], starts)
-                length = scenes.road.lanes[lane].length
-                s = min(ENTRY_M, length)
-                if not at_start:
-                    s = uniform(scenes.generator[b], 0.0, length)
-                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes, inside):
-                    has_changed = True
-                    if happened[b, i] == 0:
-                        happened[b, i] = ENTERED
-                    break
-        if has_changed:
-            list_by_place(scenes, b)
-
-
-@compiled
-def is_stationary(vehicle: Row) -> bool:
-    """Whether a vehicle stands, or is a wreck."""
-    return bool(vehicle.crashed or abs(vehicle.speed) < STATIONARY_MPS)
-
-
-@compiled
-def fate(scenes: Scenes, b: int, i: int, rule: Rule) -> int:
-    """What happens to a vehicle that is there; 0 if it stays."""
-    vehicle = scenes.vehicles[b, i]
-    if vehicle.crashed:
-        return CLEARED if vehicle.stood_s >= WRECK_S else 0
-    if vehicle.stood_s >= rule.patience:
-        return FREED
-    row = scenes.road.lanes[vehicle.lane]
-    s, _ = local_coordinates(scenes.road, vehicle.lane, vehicle.x, vehicle.y)
-    is_at_end = s >= row.length - max(vehicle.speed, 0.0) * rule.interval
-    return LEFT if row.next_count == 0 and is_at_end else 0
-
-
-@compiled
-def find_route(
-    scenes: Scenes, b: int, i: int, rule: Rule, links: tuple[Ints, Ints], routes: Routes
-) -> None:
-    """Gives a vehicle the next steps of its way, and a new goal where it needs one.
-
-    The ego keeps its goal as long as it can reach it.
-    """
-    road, vehicle = scenes.road, scenes.vehicles[b, i]
-    lane = vehicle.lane
-    if road.lanes[vehicle.target_lane].first == road.lanes[lane].first:
-        lane = vehicle.target_lane
-    row = road.lanes[lane]
-    if i >= rule.egos and (vehicle.goal < 0 or routes.goals[vehicle.goal] == row.first):
-        vehicle.goal = draw_goal(scenes, b, routes, lane, 0.0, np.inf)
-    s, _ = local_coordinates(road, lane, vehicle.x, vehicle.y)
-    is_at_end = row.length - s < max(vehicle.speed, 0.0) * rule.interval + ENTRY_M
-    if vehicle.goal >= 0 and is_at_end and vehicle.lane == vehicle.target_lane:
-        misses = routes.free[vehicle.goal, lane] == 0.0
-        misses = misses or not routes.distance[vehicle.goal, lane] < np.inf
-        flat, ends = links
-        begin = ends[lane - 1] if lane > 0 else 0
-        if misses and ends[lane] > begin:
-            after = flat[integers(scenes.generator[b], begin, ends[lane])]
-            is_lost = not routes.distance[vehicle.goal, after] < np.inf
-            if i >= rule.egos or is_lost:
-                vehicle.goal = draw_goal(scenes, b, routes, after, 0.0, np.inf)
-            plan_way(vehicle, road, routes, after, False)
-            step_before(vehicle, row.first, lane - row.first)
-            return
-    plan_way(vehicle, road, routes, lane, True)
-
-
-@compiled
-def step_before(vehicle: Any, first: int, number: int) -> None:
-    """Puts a step before those of a vehicle's route, of which the last may be dropped."""
-    count = min(vehicle.route_end + 1, vehicle.route_roads.size)
-    for k in range(count - 1, 0, -1):
-        vehicle.route_roads[k] = vehicle.route_roads[k - 1]
-        vehicle.route_numbers[k] = vehicle.route_numbers[k - 1]
-    vehicle.route_roads[0], vehicle.route_numbers[0] = first, number
-    vehicle.route_end = count
 
 
 @compiled_of_scenes

@@ -11,9 +11,16 @@ import numpy as np
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools
 from charms_bench.foundation.compiled import compiled_of_scenes
+from charms_bench.roads.coming_and_going import (
+    CLEARED,
+    ENTERED,
+    FREED,
+    LEFT,
+    STATIONARY_MPS,
+)
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.fault import REAR_END_COS, SIDE_COS
-from charms_bench.roads.file_road import CLEARED, ENTERED, FREED, LEFT, STATIONARY_MPS, FileRoad
+from charms_bench.roads.file_road import FileRoad
 from charms_bench.roads.map_lanes import map_of
 from charms_bench.roads.scenes import IDM, OBSTACLE, Scenes
 from charms_bench.roads.stepping import decide

@@ -7,8 +7,9 @@ import pytest
 
 from charms_bench.errors import InputError
 from charms_bench.maps.reading import read_road
+from charms_bench.roads.coming_and_going import NEAREST_M
 from charms_bench.roads.episodes import Episodes
-from charms_bench.roads.file_road import NEAREST_M, FileRoad
+from charms_bench.roads.file_road import FileRoad
 from charms_bench.roads.long_drive import long_drive
 from charms_bench.roads.map_lanes import levels_of, map_of
 from charms_bench.roads.scenes import IDM, OBSTACLE, place

@@ -22,8 +22,8 @@ from charms_bench.report.first_speeds import said_of
 from charms_bench.roads import OF_SUITES
 from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.engine import RoadEngine
-from charms_bench.roads.packed_arrays import unpack
 from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.packed_arrays import unpack
 from charms_bench.roads.scenes import COMMANDED, OBSTACLE
 from charms_bench.roads.settings import on_road
 from charms_bench.runs.runner import plan
