@@ -44,7 +44,7 @@ from charms_bench.roads.inflow import ENTRY_M
 from charms_bench.roads.layout import Edge
 from charms_bench.roads.map_lanes import driven_lanes, indices_of, levels_of, map_of
 from charms_bench.roads.meetings import Meetings, meetings_of
-from charms_bench.roads.recorded_scenes import enter, on_road, put_recorded, scene_of
+from charms_bench.roads.recorded_scenes import enter, put_recorded, recorded_on, scene_of
 from charms_bench.roads.routes import Routes, routes_of
 from charms_bench.roads.scenes import (
     IDM,
@@ -118,7 +118,7 @@ class FileRoad(Task):
             if scene is None:
                 what = "has no recorded vehicles; expected a CommonRoad scenario, or 'drawn'"
                 raise InputError(f"config.start: {config['file']} {what}")
-            self._recorded = on_road(scene, road, config["start"], self.duration, links)
+            self._recorded = recorded_on(scene, road, config["start"], self.duration, links)
             self.moments, self.duration = self._recorded.moments, self._recorded.duration
             used = np.concatenate([self._recorded.goals.lane, self._recorded.goals.ego_lane])
             goals = np.union1d(goals, road.lanes["first"][used[used >= 0]])

@@ -91,7 +91,7 @@ def facts_of(path: Path) -> dict[str, Any] | None:
     }
 
 
-def on_road(
+def recorded_on(
     scene: RecordedScene, road: Network, start: str, duration: float, links: Sequence[Sequence[int]]
 ) -> OnRoad:
     """The moments of a scene for episodes of a duration, or of as long as the scene lasts.
