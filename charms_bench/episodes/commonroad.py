@@ -5,6 +5,7 @@ newer releases of onnxruntime rule out; a run is replayed with the onnxruntime t
 CommonRoad's y axis points to the left and its headings are positive to the left.
 """
 
+import itertools
 import math
 from pathlib import Path
 from xml.etree import ElementTree
@@ -23,6 +24,10 @@ from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
 FIRST_VEHICLE = 1001
 """Identifier of the obstacle that is vehicle 0; lanelets are counted from 1."""
+FIRST_LATER = 500_000
+"""That of the first obstacle that comes to the place of one that has left."""
+JUMP_M = 5.0
+"""A vehicle that moves further than by its speed and this is another one at the same place."""
 PLANNING_PROBLEM = 1_000_000
 FIRST_SIGN = 2_000_000
 SPEED_SIGN = "274"
@@ -31,8 +36,8 @@ DATE = "1970-01-01"
 """The format requires a date; with this one, the same episode is always the same file."""
 MARGIN_M = 100.0
 POINT_DISTANCE_M = 10.0
-BEND_DISTANCE_M = 1.0
-"""Between the points of the bounds of lanes that can be bent; a circle of 20 m is then 6 mm off."""
+BEND_DISTANCE_M = 0.5
+"""Between the points of the bounds of lanes that can be bent; a circle of 20 m is then 2 mm off."""
 TOUCHING_M = 0.5
 """A lane follows another one if it starts at most so far from its end."""
 _MARKINGS = {NO_LINE: "no_marking", STRIPED: "dashed", SOLID: "solid", SOLID_LINE: "solid"}
@@ -72,8 +77,12 @@ def write_commonroad(replay: Replay, path: Path) -> None:
         moving = replay.plan
         SubElement(tags, "simulated")
         _add_lanelets_of(root, moving.road, replay.settings.network)
+    later = itertools.count(FIRST_LATER)
     for vehicle in np.nonzero(moving.present.any(axis=0))[0].tolist():
-        _add_vehicle(root, moving, vehicle)
+        first, *others = _stays(moving, vehicle, 1 / replay.settings.simulation_hz)
+        _add_vehicle(root, moving, vehicle, first, FIRST_VEHICLE + vehicle)
+        for stay in others:
+            _add_vehicle(root, moving, vehicle, stay, next(later))
     # The planning problem is the ego's start, and as its goal the time when the episode ends.
     problem = SubElement(root, "planningProblem", id=str(PLANNING_PROBLEM))
     _add_state(problem, "initialState", moving, replay.ego, 0)
@@ -169,17 +178,29 @@ def _following(road: Network, lane: int) -> list[int]:
     return [k for k, (u, v) in starts.items() if math.hypot(u - x, v - y) <= TOUCHING_M]
 
 
-def _add_vehicle(root: Element, replay: Replay | Plan, vehicle: int) -> None:
-    is_obstacle = isinstance(replay, Plan) and bool(replay.is_obstacle[0, vehicle])
+def _stays(replay: Replay | Plan, vehicle: int, interval_s: float) -> list[list[int]]:
+    """The frames of each vehicle that has the place in turn; an obstacle is never absent."""
+    frames = np.nonzero(replay.present[:, vehicle])[0]
+    x, y, speed = (getattr(replay, name)[frames, vehicle] for name in ("x", "y", "speed"))
+    moves = np.hypot(np.diff(x), np.diff(y))
+    most = JUMP_M + interval_s * np.maximum(np.abs(speed[1:]), np.abs(speed[:-1]))
+    ends = np.nonzero((np.diff(frames) > 1) | (moves > most))[0] + 1
+    return [stay.tolist() for stay in np.split(frames, ends)]
+
+
+def _add_vehicle(
+    root: Element, replay: Replay | Plan, vehicle: int, frames: list[int], name: int
+) -> None:
+    first, *others = frames
+    is_obstacle = isinstance(replay, Plan) and bool(replay.is_obstacle[first, vehicle])
     kind = "staticObstacle" if is_obstacle else "dynamicObstacle"
-    obstacle = SubElement(root, kind, id=str(FIRST_VEHICLE + vehicle))
-    length, width = float(replay.length[0, vehicle]), float(replay.width[0, vehicle])
+    obstacle = SubElement(root, kind, id=str(name))
+    length, width = float(replay.length[first, vehicle]), float(replay.width[first, vehicle])
     of_size = "car" if length < TRUCK_LENGTH_M else "truck"
     SubElement(obstacle, "type").text = "constructionZone" if is_obstacle else of_size
     shape = SubElement(SubElement(obstacle, "shape"), "rectangle")
     SubElement(shape, "length").text = _decimal(length)
     SubElement(shape, "width").text = _decimal(width)
-    first, *others = np.nonzero(replay.present[:, vehicle])[0].tolist()
     _add_state(obstacle, "initialState", replay, vehicle, first)
     if is_obstacle:
         return

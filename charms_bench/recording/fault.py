@@ -1,4 +1,4 @@
-"""Which vehicle is at fault for a crash. This is the project's only rule for that.
+"""Which vehicle is at fault for a crash on a straight road; `roads.fault` says it on other roads.
 
 - Leaving the road: the vehicle that leaves it.
 - Side collision: the vehicle that began last to move out of its lane, or both if they began in the

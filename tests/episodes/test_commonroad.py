@@ -3,6 +3,7 @@
 commonroad-io reads them in `test_commonroad_against_crime.py`, which `tox -e crime` runs.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -95,3 +96,19 @@ def test_a_truck_has_its_own_size_and_type(tmp_path: Path) -> None:
     names = ("type", "shape/rectangle/length", "shape/rectangle/width")
     said = [tuple(each.findtext(name) for name in names) for each in found]
     assert said == [("car", "5.0", "2.0"), ("truck", "16.0", "2.5")]
+
+
+@pytest.mark.parametrize("is_absent", [True, False])
+def test_a_vehicle_that_comes_to_the_place_of_another_one_is_an_obstacle_of_its_own(
+    is_absent: bool, tmp_path: Path
+) -> None:
+    x = [[100.0, 130.0], [102.0, 131.5], [104.0, 133.0], [106.0, 20.0], [108.0, 21.5]]
+    there = np.array([[True, True]] * 2 + [[True, not is_absent]] + [[True, True]] * 2)
+    write_commonroad(replace(replay_of(x=x), present=there), tmp_path / "episode.xml")
+    root = ElementTree.parse(tmp_path / "episode.xml").getroot()
+    times = {
+        obstacle.get("id"): [each.findtext("exact") for each in obstacle.iter("time")]
+        for obstacle in root.findall("dynamicObstacle")
+    }
+    first = ["0", "1"] if is_absent else ["0", "1", "2"]
+    assert times == {"1001": ["0", "1", "2", "3", "4"], "1002": first, "500000": ["3", "4"]}
