@@ -79,10 +79,10 @@ def write_commonroad(replay: Replay, path: Path) -> None:
         _add_lanelets_of(root, moving.road, replay.settings.network)
     later = itertools.count(FIRST_LATER)
     for vehicle in np.nonzero(moving.present.any(axis=0))[0].tolist():
-        first, *others = _stays(moving, vehicle, 1 / replay.settings.simulation_hz)
-        _add_vehicle(root, moving, vehicle, first, FIRST_VEHICLE + vehicle)
-        for stay in others:
-            _add_vehicle(root, moving, vehicle, stay, next(later))
+        stays = _stays(moving, vehicle, 1 / replay.settings.simulation_hz)
+        for k, stay in enumerate(each for each in stays if len(each) > 1):
+            name = next(later) if k else FIRST_VEHICLE + vehicle
+            _add_vehicle(root, moving, vehicle, stay, name)
     # The planning problem is the ego's start, and as its goal the time when the episode ends.
     problem = SubElement(root, "planningProblem", id=str(PLANNING_PROBLEM))
     _add_state(problem, "initialState", moving, replay.ego, 0)
@@ -179,7 +179,10 @@ def _following(road: Network, lane: int) -> list[int]:
 
 
 def _stays(replay: Replay | Plan, vehicle: int, interval_s: float) -> list[list[int]]:
-    """The frames of each vehicle that has the place in turn; an obstacle is never absent."""
+    """The frames of each vehicle that has the place in turn; an obstacle is never absent.
+
+    One that is there for a single frame has no trajectory, which the format requires.
+    """
     frames = np.nonzero(replay.present[:, vehicle])[0]
     x, y, speed = (getattr(replay, name)[frames, vehicle] for name in ("x", "y", "speed"))
     moves = np.hypot(np.diff(x), np.diff(y))

@@ -18,6 +18,7 @@ from charms_bench.foundation.compiled import (
 from charms_bench.roads.linear import linear_acceleration, linear_steering
 from charms_bench.roads.locating import as_followed, coordinates_of, heading_on, width_on
 from charms_bench.roads.order import neighbours
+from charms_bench.roads.safe_gap import is_safe
 from charms_bench.roads.scenes import (
     AHEAD,
     BATCH,
@@ -335,8 +336,12 @@ def choose_lane(here: Here, i: int, free: float, own: float, front: int, rear: i
     vehicle = vehicle_of(here, i)
     if vehicle.lane != vehicle.target_lane:
         own_road = lane_of(here, vehicle.lane).first
-        if own_road == lane_of(here, vehicle.target_lane).first and gap_is_taken(here, i):
-            vehicle.target_lane = vehicle.lane
+        if own_road == lane_of(here, vehicle.target_lane).first:
+            is_taken = gap_is_taken(here, i)
+            if here.constants.looks_ahead and not is_taken:
+                is_taken = not is_safe(here, i, vehicle.target_lane)
+            if is_taken:
+                vehicle.target_lane = vehicle.lane
     elif vehicle.timer_s > here.constants.lane_change_period_s:
         vehicle.timer_s = 0.0
         if not abs(vehicle.speed) < 1 or here.constants.looks_ahead:

@@ -15,7 +15,7 @@ from charms_bench.roads.map_lanes import levels_of, map_of
 from charms_bench.roads.scenes import IDM, OBSTACLE, place
 from charms_bench.roads.stepping import decide
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
-from charms_bench.world.road import local_coordinates
+from charms_bench.world.road import heading_at, local_coordinates, position
 
 PLACES = Path(__file__).parents[2] / "suites" / "places"
 NOBODY = np.zeros((1, 0), dtype=np.int64)
@@ -107,6 +107,23 @@ def test_traffic_in_a_town_stays_on_the_road_and_does_not_lock_up() -> None:
     assert (found.off_road, found.freed) == (0, 0)
     assert found.vehicles == 20
     assert found.stationary < 0.2
+
+
+@pytest.mark.parametrize(("ahead_m", "goes_on"), [(2.0, False), (60.0, True)])
+def test_a_lane_change_is_given_up_when_another_vehicle_has_come_beside(
+    ahead_m: float, goes_on: bool
+) -> None:
+    episodes, task = episodes_of("motorway", density=0.2)
+    scenes, road = episodes.scenes, episodes.scenes.road
+    lane = next(k for k, row in enumerate(road.lanes) if row["right"] >= 0 and row["length"] > 400)
+    beside = road.lanes["right"][lane]
+    for i, (own, s) in enumerate(((lane, 100.0), (beside, 100.0 + ahead_m))):
+        x, y = position(road, own, s, 0.0)
+        place(scenes, 0, i, IDM, x, y, heading_at(road, own, s), 10.0)
+    task.release_egos(scenes)
+    scenes.vehicles["target_lane"][0, 0] = beside
+    decide(scenes, episodes.everyone, NOBODY, 3, 0.2)
+    assert scenes.vehicles["target_lane"][0, 0] == (beside if goes_on else lane)
 
 
 def test_a_file_that_has_changed_is_not_driven_on(tmp_path: Path) -> None:
