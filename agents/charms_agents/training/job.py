@@ -123,7 +123,7 @@ def reinforcement_job(
         "style": styles.get("", styles),
         "seed": suite.seed,
         "first_episode_seed": suite.first_episode_seed,
-        "hyperparameters": suite.hyperparameters_of(stage).inputs,
+        "hyperparameters": suite.hyperparameters.inputs,
         "curve_steps": suite.curve_steps,
         "scene": stage.scene.model_dump(mode="json"),
         "traffic": _traffic_inputs(stage, drivers),
@@ -247,8 +247,7 @@ def _files_sha256(agent: Agent) -> str:
 
 def _is_standardised(suite: TrainingSuite, stage: HumanStage) -> bool:
     """Whether the weights that learn are those for standardised observations."""
-    tuned = stage.fine_tunes and suite.stages[stage.fine_tunes]
-    return suite.hyperparameters_of(tuned).standardised if tuned else True
+    return suite.hyperparameters.standardised or stage.fine_tunes is None
 
 
 def _fit(

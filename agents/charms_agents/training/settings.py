@@ -113,8 +113,6 @@ class Stage(FrozenModel):
     traffic: TrafficSpec
     """The traffic. A name means a stage of this file, or else an installed agent or traffic; a name
     that ends in `.onnx` is the path of a network, from the suite file's folder."""
-    variant: Name | None = None
-    """A name in the suite's `variants`; by default, its `hyperparameters` apply."""
     conditions: Names = ()
     """Names in the suite's `conditions`, among which environments are divided equally."""
     prior: Name | None = None
@@ -221,8 +219,6 @@ class TrainingSuite(FrozenModel):
     the action does, such as `{name: BRAKE, speed_from_present_mps: -6.0}`; see
     `charms_bench.world.actions.MetaAction`. Steps of the profile become the network's own."""
     hyperparameters: Hyperparameters = Hyperparameters()
-    variants: dict[Name, Hyperparameters] = Field(default={})
-    """Further hyperparameters, which stages can name."""
     curve_steps: Count = 10_000
     """Steps between two points of the learning curve."""
     checkpoint_s: Positive = 60.0
@@ -293,10 +289,6 @@ class TrainingSuite(FrozenModel):
             name: style_numbers(self.weights[style.weights], style.angle_rad)
             for name, style in stage.styles.items()
         }
-
-    def hyperparameters_of(self, stage: Stage) -> Hyperparameters:
-        """The hyperparameters of a stage."""
-        return self.hyperparameters if stage.variant is None else self.variants[stage.variant]
 
     @property
     def human_stages(self) -> dict[str, HumanStage]:
