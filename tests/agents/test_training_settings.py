@@ -110,7 +110,6 @@ WRONG: tuple[tuple[Path, str, Any, str], ...] = (
     (SUITE, "stages.level_1.traffic", {"mixture": {"level_0": 0.5}}, "must .* sum to 1"),
     (SUITE, "stages.prior_level_k.traffic", {"name": "level_1", "options": {"tau": 1.5}},
      "no traffic named 'level_1'"),
-    (SUITE, "seeds", [1, 2, 1], "a seed is given twice in seeds"),
     (SUITE, "weights.safe.comfort", -1.0, "weights.safe.comfort"),
     (SUITE, "stages.level_1.scene.density", 0, "stages.level_1.scene.density"),
     (SHIPPED, "stages.level_1.conditions", "level_9",

@@ -38,7 +38,6 @@ Names = Annotated[
     Field(strict=False, max_length=20),
 ]
 """Some names; a name alone is one of them."""
-Seed = Annotated[int, Field(ge=0, lt=2**23)]
 Angle = Annotated[float, Field(ge=-math.pi, le=math.pi)]
 
 
@@ -207,10 +206,7 @@ class TrainingSuite(FrozenModel):
 
     pipeline: Literal["charms"]
     title: Line = ""
-    seed: Seed = 0
-    seeds: Annotated[tuple[Seed, ...], Field(strict=False, max_length=100)] = ()
-    """If given, every stage is trained once with each of these seeds instead of `seed`; the stages
-    of a seed need only stages of the same seed."""
+    seed: Annotated[int, Field(ge=0, lt=2**23)] = 0
     observation: Annotated[str | dict[str, Any], AfterValidator(_learnt)] = "neighbours"
     """What the networks observe: `paper_neighbours`, as in the paper, or `neighbours`, each with
     the option `commands`; or `interaction`, on all roads."""
@@ -231,12 +227,6 @@ class TrainingSuite(FrozenModel):
     stages: Annotated[dict[Name, Stage], Field(min_length=1, max_length=100)]
     """Stages of reinforcement learning; `like` names a stage to copy missing settings from."""
     human: Human | None = None
-
-    @model_validator(mode="after")
-    def _seeds_differ(self) -> "TrainingSuite":
-        if len(set(self.seeds)) < len(self.seeds):
-            raise ValueError("a seed is given twice in seeds")
-        return self
 
     @model_validator(mode="after")
     def _people_take_the_actions(self) -> "TrainingSuite":
@@ -272,16 +262,6 @@ class TrainingSuite(FrozenModel):
     def first_simulated_seed(self) -> int:
         """Seed of the first episode of simulated drivers, beyond those of the stages."""
         return self.first_episode_seed + EPISODES_OF_A_SEED - 2**27
-
-    @property
-    def by_seed(self) -> dict[str, "TrainingSuite"]:
-        """The suite of each seed, by its folder in the run folder."""
-        if not self.seeds:
-            return {"": self}
-        return {
-            f"seed-{seed}": self.model_copy(update={"seed": seed, "seeds": ()})
-            for seed in self.seeds
-        }
 
     def styles_of(self, stage: Stage) -> dict[str, tuple[float, ...]]:
         """What a network is given of each of its styles, if it drives in several."""

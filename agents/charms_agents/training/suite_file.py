@@ -28,7 +28,7 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
     document = Document(path)
     _resolve_likeness(document)
     if seed is not None:
-        document.data |= {"seed": seed, "seeds": []}
+        document.data["seed"] = seed
     stages = document.data.get("stages")
     for stage in stages.values() if steps is not None and isinstance(stages, dict) else ():
         if isinstance(stage, dict):  # anything else is rejected below
