@@ -111,7 +111,7 @@ def reinforcement_job(
         "style": styles.get("", styles),
         "seed": suite.seed,
         "first_episode_seed": suite.first_episode_seed,
-        "hyperparameters": suite.hyperparameters.inputs,
+        "hyperparameters": suite.hyperparameters.model_dump(mode="json"),
         "curve_steps": suite.curve_steps,
         "scene": stage.scene.model_dump(mode="json"),
         "traffic": _traffic_inputs(stage, drivers),
