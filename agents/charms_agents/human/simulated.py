@@ -46,15 +46,10 @@ def simulated_samples(
     observation: NamedObservation,
     actions: Sequence[MetaAction] = DEFAULT_ACTIONS,
 ) -> Samples:
-    """The samples of each of the drivers in each of the places.
+    """The samples of each of the drivers, as egos, in each of the places: scenes and traffics.
 
-    Args:
-        drivers: Drive the egos.
-        places: Scenes and traffics.
-        others: All agents that the traffics name, by name.
-        episodes: Of each driver in each place; their seeds follow `first_seed`.
-        observation: What the samples have.
-        actions: The meta-actions.
+    `others` are all agents that the traffics name, by name. Each driver has `episodes` in each
+    place, whose seeds count up from `first_seed`.
     """
     observed, chosen, held_out = [], [], []
     for driver in drivers:

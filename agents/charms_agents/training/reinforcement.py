@@ -22,11 +22,7 @@ from charms_bench.world.scene import Observations
 
 
 class Reinforcement:
-    """Learns a stage's network by Double DQN among `drivers`; episodes have successive seeds.
-
-    Args:
-        prior: The file of the stage's prior; None without a prior.
-    """
+    """Learns a stage's network by Double DQN among `drivers`; episodes have successive seeds."""
 
     point = Point
 
