@@ -32,7 +32,7 @@ def main() -> None:
     options = parser.parse_args()
 
     suite = load_suite(options.suite)
-    entry = suite.traffics[scenario_of(options.suite, suite, options.scenario)]
+    entry = scenario_of(options.suite, suite, options.scenario)
     cell = Cell(
         ego=ego_of(options.suite, suite, options.agent),
         traffic=entry,

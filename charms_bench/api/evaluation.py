@@ -11,7 +11,7 @@ from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.progress import note, progress
 from charms_bench.people.reference import read_references
-from charms_bench.plugins.specs import drivers_of, networks_of
+from charms_bench.plugins.specs import agents_of
 from charms_bench.runs import runner
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.lock import locked
@@ -138,8 +138,7 @@ def cell_of(
     around_ego = Surroundings(on, chosen)
     cell = next(each for each in loaded.cells if each.surroundings == around_ego)
     ego, around = cell.ego.agent, cell.traffic.traffic.make()
-    networks = networks_of(ego, around, loaded.folder)
-    agents = {each.key: each.make(networks) for each in drivers_of(ego, around)}
+    agents = agents_of(ego, around, loaded.folder)
     engine = engine_on(cell.scene)
     return Simulation(cell.scene, 1, ego.key, around, agents, engine), cell.title, loaded.seed
 

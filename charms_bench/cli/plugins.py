@@ -67,14 +67,14 @@ def traffic(
 ) -> None:
     """Print the proportions of agents in a traffic model."""
     from charms_bench.plugins.registry import make_traffic
-    from charms_bench.plugins.traffic_shares import SAMPLED, shares
+    from charms_bench.plugins.traffic import SAMPLED, proportions
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.shares import draw
     from charms_bench.report.table import Column, Table
     from charms_bench.report.terminal import drawn
 
     options = _options(context.args)
-    found = shares(make_traffic(name, options))
+    found = proportions(make_traffic(name, options))
     if figure is not None:
         words = ", ".join(f"{key} {value}" for key, value in options.items())
         save(draw(found, f"{name} {words}".strip()), figure)

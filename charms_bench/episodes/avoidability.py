@@ -112,7 +112,6 @@ def avoidability(
     """How the collisions of some episodes of a cell could have been avoided, in their order.
 
     Args:
-        cell: The cell.
         episodes: Seeds of episodes that end with a collision of the ego.
         budget: The most decisions that the search may simulate for one collision.
         agents: The agents that are tried; by default, all that are installed and usable.

@@ -59,13 +59,10 @@ class EdgeCase:
 
 
 def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> list[EdgeCase]:
-    """Returns the most critical episodes, ranked; ties go by cell, then by seed.
+    """Returns at most `top` of the most critical episodes, ranked; ties go by cell, then by seed.
 
-    Args:
-        cells: The cells of a run to search.
-        top: The largest number of episodes to return.
-        kind: Only episodes of this kind, and `what` describes that event. An abandoned lane change
-            counts if another vehicle took the gap (`recording.lane_changes`).
+    If a `kind` is given, they are of this kind, and `what` describes that event. An abandoned lane
+    change counts if another vehicle took the gap (`recording.lane_changes`).
 
     Raises:
         CharmsBenchError: As for `replay.replay`.

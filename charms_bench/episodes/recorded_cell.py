@@ -87,7 +87,6 @@ class RecordedCell:
         """A simulation of some of its scenes, in which guests may be seated.
 
         Args:
-            scenes: How many scenes.
             guests: Agents beside those of the cell, by name; they act after these.
             settings: Other settings than the suite's.
             is_ego_outside: Whether the actions given to `Simulation.step` drive the ego. They are
@@ -127,22 +126,14 @@ class RecordedCell:
                 raise RunFolderError(
                     f"{run.folder.path}: holds the episodes {first} to {last}, not {episode}"
                 )
-        shards = [run.shards[k] for k, seeds in self._seeds.items() if {*seeds} & {*episodes}]
+        shards = [each for each in run.shards_of[self.index] if {*each.seeds} & {*episodes}]
         _, steps = read_rows(run.folder, EPISODES_AND_STEPS, shards)
         return of_ego(steps, self.ego_index).filter(pl.col("episode").is_in(list(episodes)))
 
     def shard_of(self, episode: int) -> range:
         """The seeds of the episodes that the run simulated together with this one."""
-        return next(seeds for seeds in self._seeds.values() if episode in seeds)
-
-    @property
-    def _seeds(self) -> dict[int, range]:
-        """The seeds of each shard of the cell, by its place among all shards."""
-        return {
-            k: range(shard.first_seed, shard.first_seed + shard.episodes)
-            for k, shard in enumerate(self.run.shards)
-            if shard.cell == self.index
-        }
+        shards = self.run.shards_of[self.index]
+        return next(each.seeds for each in shards if episode in each.seeds)
 
     def check_steps(self, stored: pl.DataFrame, again: pl.DataFrame) -> None:
         """Raises a `RunFolderError` if the rows simulated `again` are not those of `steps`."""

@@ -150,8 +150,8 @@ class Seat(NamedTuple):
 
     step: int
     """Its first decision; an episode's decisions are counted from 1."""
-    vehicle: int | None
-    """The vehicle's index in the order in which vehicles appear; None is the ego."""
+    vehicle: int
+    """The vehicle's index in the order in which vehicles appear."""
     agent: str
 
 
@@ -160,11 +160,8 @@ def simulate(
 ) -> list[Replay]:
     """Simulates episodes of a cell as `replay` does, but does not compare them with the run.
 
-    Args:
-        cell: The cell.
-        episodes: Their seeds.
-        seat: A seat that its agent takes in each episode.
-        among: The seeds of all episodes that are simulated together; by default, only `episodes`.
+    An agent takes the `seat` in each of them. `among` are the seeds of all episodes that are
+    simulated together, by default only `episodes`.
     """
     together = list(among or episodes)
     kept = [together.index(episode) for episode in episodes]
@@ -175,9 +172,7 @@ def simulate(
     settings = simulation.settings
     simulation.reset(np.array(together, dtype=np.uint64))
     recording = Recording(simulation)
-    frames = [_frame(simulation, kept)]
-    plans = _Plans(simulation, kept)
-    plans.note()
+    frames, plans = [_frame(simulation, kept)], [_plans(simulation, kept)]
     if seat is not None:
         driver = simulation.made.get(simulation.agents.index(seat.agent))
         if getattr(driver, "follows_recording", False):
@@ -195,7 +190,7 @@ def simulate(
         for _ in range(interval):
             simulation.advance()
             frames.append(_frame(simulation, kept))
-            plans.note()
+            plans.append(_plans(simulation, kept))
         simulation.finish_step()
         recording.note()
     ended, steps = recording.episodes(), recording.steps()
@@ -208,6 +203,7 @@ def simulate(
         if settings.straight_inflow is not None:
             ego, arrays = int(arrays["entry"][0, ego]), _by_vehicle(arrays)
         del arrays["entry"]
+        plan = [plan for moment in plans[:length] if (plan := moment[place]) is not None]
         replays.append(
             Replay(
                 cell=cell.cell,
@@ -219,7 +215,7 @@ def simulate(
                 t_s=np.arange(length) / settings.simulation_hz,
                 episodes=ended.filter(mine),
                 steps=steps.filter(mine),
-                plan=plans.of(place, length),
+                plan=plan_over_time(plan) if plan else None,
                 ego_index=cell.ego_index if cell.egos > 1 else None,
                 **arrays,
             )
@@ -227,11 +223,9 @@ def simulate(
     return replays
 
 
-def _places(simulation: Simulation, vehicle: int | None) -> Ints:
-    """The place of a vehicle in each scene (B,); with None, that of the ego."""
+def _places(simulation: Simulation, vehicle: int) -> Ints:
+    """The place of a vehicle in each scene (B,)."""
     scene, settings = simulation.scene, simulation.settings
-    if vehicle is None:
-        return scene.ego
     inflow = settings.straight_inflow
     if inflow is None:
         return np.full(scene.ego.size, vehicle)
@@ -262,23 +256,9 @@ def _agents(simulation: Simulation, drivers: Ints) -> tuple[str, ...]:
     return tuple("IDM of highway-env" if name == PRESCRIBED else name for name in names)
 
 
-class _Plans:
-    """The plans of some scenes of a simulation; none of a straight road."""
-
-    def __init__(self, simulation: Simulation, scenes: Sequence[int]) -> None:
-        self._scenes, self._of_scenes = scenes, [list[Plan]() for _ in scenes]
-        self._simulation = simulation
-
-    def note(self) -> None:
-        """Keeps the present moment."""
-        for plans, b in zip(self._of_scenes, self._scenes, strict=True):
-            if (plan := self._simulation.engine.plan(b)) is not None:
-                plans.append(plan)
-
-    def of(self, place: int, length: int) -> Plan | None:
-        """The plan of the first moments of one of the scenes."""
-        plans = self._of_scenes[place][:length]
-        return plan_over_time(plans) if plans else None
+def _plans(simulation: Simulation, scenes: Sequence[int]) -> list[Plan | None]:
+    """The plans of some scenes of a simulation; None of a straight road."""
+    return [simulation.engine.plan(b) for b in scenes]
 
 
 def _frame(simulation: Simulation, scenes: Sequence[int]) -> dict[str, Any]:

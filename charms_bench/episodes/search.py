@@ -31,11 +31,11 @@ from charms_bench.episodes.severity import margins
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import AGENTS, is_network, plugins
-from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
+from charms_bench.plugins.specs import AgentSpec, agents_of, networks_of
 from charms_bench.runs.checked_result import read_result, write_result
 from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.shard import CellTask, engine_on, installed
-from charms_bench.runs.suite import Cell, EgoEntry, Suite, Surroundings
+from charms_bench.runs.suite import Cell, EgoEntry, Suite, Surroundings, TrafficEntry
 from charms_bench.world.points import from_shares, sobol
 from charms_bench.world.scenario import Parameter, Scenario
 from charms_bench.world.scene import Floats, Ints, SceneSettings
@@ -218,11 +218,8 @@ class Search:
             return False
         traffic = self.cell.traffic.traffic.make()
         egos = [self.cell.ego.agent, *(each.agent for each in self.references)]
-        return any(
-            getattr(driver.make(networks_of(ego, traffic, self.folder)), "noise_draws", 0)
-            for ego in egos
-            for driver in drivers_of(ego, traffic)
-        )
+        agents = (agents_of(ego, traffic, self.folder).values() for ego in egos)
+        return any(getattr(agent, "noise_draws", 0) for some in agents for agent in some)
 
     def _avoided_again(self, point: Point) -> list[str] | None:
         """Who avoids this point's episode of the suite of failures; None if it is no failure."""
@@ -243,12 +240,11 @@ class Search:
             return np.concatenate([self._margins(agent, [point]) for point in points])
         seeds = self.seeds if self.varies_road else first + np.arange(len(points))
         traffic = cell.traffic.traffic.make()
-        networks = networks_of(agent, traffic, self.folder)
-        agents = {each.key: each.make(networks) for each in drivers_of(agent, traffic)}
+        agents = agents_of(agent, traffic, self.folder)
         settings = self._settings_of((*points[:1] * first, *points))
         file = None
         if self.path is not None:
-            on_network = cell.road is not None
+            networks, on_network = networks_of(agent, traffic, self.folder), cell.road is not None
             software = installed(agent, cell.traffic.traffic, networks, on_network)
             task = CellTask(
                 title=cell.title,
@@ -282,7 +278,7 @@ def surroundings_of(
     traffics = {each.title: each for each in suite.traffics}
     scenarios = [each.title for each in suite.traffics if each.traffic.scenario]
     if not suite.roads or traffic in scenarios or (scenarios and not varied):
-        entry = suite.traffics[scenario_of(path, suite, traffic)]
+        entry = scenario_of(path, suite, traffic)
         roads = {each.title: each for each in suite.roads}
         return Surroundings(roads[_chosen(path, "road", roads, road)] if roads else None, entry)
     if not varied:
@@ -298,7 +294,8 @@ def _chosen(path: Path, option: str, known: Mapping[str, object], title: str | N
     """The title, or the only one; raises an `InputError`."""
     title = next(iter(known)) if title is None and len(known) == 1 else title
     if title is None:
-        what = f"{len(known)} that can be searched; choose one with --{option}"
+        how = f"choose one with --{option}" if known else "expected one with parameters"
+        what = f"{len(known)} that can be searched; {how}"
         raise InputError(f"{path}: {what}. {suggestion('', known)}")
     if title not in known:
         what = f"--{option}: none called '{title}' can be searched"
@@ -306,29 +303,21 @@ def _chosen(path: Path, option: str, known: Mapping[str, object], title: str | N
     return title
 
 
-def scenario_of(path: Path, suite: Suite, title: str | None) -> int:
-    """The index of a suite's scenario; None is the only one. Raises an `InputError`."""
+def scenario_of(path: Path, suite: Suite, title: str | None) -> TrafficEntry:
+    """A suite's scenario; None is the only one. Raises an `InputError`."""
     found = {
-        entry.title: index
-        for index, entry in enumerate(suite.traffics)
+        entry.title: entry
+        for entry in suite.traffics
         if entry.traffic.scenario is not None and entry.traffic.scenario.parameters
     }
-    if title is not None and title not in found:
-        raise InputError(f"{path}: no scenario called '{title}'. {suggestion(title, found)}")
-    if title is None and len(found) != 1:
-        what = "choose one with --traffic" if found else "expected one with parameters to search"
-        raise InputError(f"{path}: {len(found)} scenarios; {what}. {suggestion('', found)}")
-    return found[title] if title is not None else next(iter(found.values()))
+    return found[_chosen(path, "traffic", found, title)]
 
 
 def ego_of(path: Path, suite: Suite, name: str | None) -> EgoEntry:
     """A suite's ego by its label, or an agent; None is the only one. Raises an `InputError`."""
     known = {entry.title: entry for entry in suite.egos if entry.title not in suite.preventable_by}
-    if name is None and len(known) != 1:
-        what = f"{len(known)} egos to search failures of; choose one with --ego"
-        raise InputError(f"{path}: {what}. {suggestion('', known)}")
     if name is None or name in known:
-        return known[name] if name is not None else next(iter(known.values()))
+        return known[_chosen(path, "ego", known, name)]
     if is_network(name):
         what = "is not the label of an ego; give a network's file with --agent"
         raise InputError(f"{path}: --ego {name} {what}")

@@ -80,12 +80,8 @@ class WhatIf:
 def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: int | None) -> WhatIf:
     """Simulates an episode again, with another agent driving a vehicle from a decision on.
 
-    Args:
-        cell: The episode's cell.
-        episode: Its seed.
-        step: The agent's first decision, from 1.
-        agent: The name of an installed agent, or the path of a network.
-        vehicle: The vehicle's index in the order of spawning; None is the ego.
+    `step` is the agent's first decision, from 1, and `vehicle` the index in the order of spawning;
+    None is the ego.
 
     Raises:
         InputError: There is no such decision, agent or vehicle, or the vehicle has crashed before

@@ -13,12 +13,7 @@ LIMITS_TIME_GAP_S = (0.5, 3.0)
 
 
 class BlindLanes(DriverModel):
-    """Keeps the first time gap to the leader, and changes to a random side at random times.
-
-    Args:
-        changes_per_km: How often it does.
-        lanes: Number of lanes of the road.
-    """
+    """Keeps the first time gap to the leader, and changes to a random side at random times."""
 
     memory_width = 1
 

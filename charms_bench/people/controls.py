@@ -50,9 +50,7 @@ def controls(parts: Sequence[Trip], human: Driven, population: Population) -> di
     return found
 
 
-def calibrated(
-    population: Population, headway: float = 1.0, repetitions: int = REPETITIONS
-) -> Driver:
+def calibrated(population: Population, headway: float = 1.0) -> Driver:
     """Drivers of a population that suit the start; then their desired time gaps are multiplied."""
     model = MODELS[population.model]
     scale = np.where(np.array(model.parameters) == "time_gap_s", headway, 1.0)
@@ -63,7 +61,7 @@ def calibrated(
         def draw(count: int) -> Floats:
             return np.exp(rng.multivariate_normal(mean, spread, size=count))
 
-        p = suited(model, trip, repetitions, draw, rng) * scale
+        p = suited(model, trip, REPETITIONS, draw, rng) * scale
         shape = len(p), trip.gap.size
         noise = ou_noise(rng, shape, population.noise_mps2, population.noise_s)
         return drive(model, trip, p, population.lag_s, noise)

@@ -27,10 +27,8 @@ class Reader:
     def read(self, message: memoryview, schema: Mapping[int, Any]) -> dict[str, list[Any]]:
         """The values of the fields that a schema names, by name, in their order.
 
-        Args:
-            message: The message.
-            schema: By the number of a field, its name; or its name and the schema of the messages
-                that are its values.
+        The schema has by the number of a field its name; or its name and the schema of the messages
+        that are its values.
 
         Raises:
             ValueError, IndexError: It is not a message, or a field has another kind of value.

@@ -137,6 +137,12 @@ def networks_of(ego: AgentSpec, traffic: Traffic, folder: Path) -> dict[str, Pat
     return {name: folder / name for name in names if is_network(name)}
 
 
+def agents_of(ego: AgentSpec, traffic: Traffic, folder: Path) -> dict[str, Agent]:
+    """The agents that drive in a cell, by their keys; for `folder`, see `networks_of`."""
+    networks = networks_of(ego, traffic, folder)
+    return {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
+
+
 def by_content(value: Any, contents: Mapping[str, str]) -> Any:
     """The JSON value with the name of each network replaced by what `contents` has for it."""
     if isinstance(value, str):

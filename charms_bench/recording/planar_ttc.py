@@ -22,11 +22,8 @@ HORIZON_S = 10.0
 def planar_ttc(now: Any, ego: int) -> float:
     """The least time until a vehicle touches another one, s; infinite if it touches none.
 
-    Times above `HORIZON_S` count as infinite; a vehicle that overlaps another one gives 0.
-
-    Args:
-        now: (N,) vehicles of a frame, see `primitives.VEHICLE`.
-        ego: The index of the vehicle.
+    Times above `HORIZON_S` count as infinite; a vehicle that overlaps another one gives 0. `now`
+    are the (N,) vehicles of a frame, see `primitives.VEHICLE`.
     """
     own = now[ego]
     own_x, own_y, length, width = own.x, own.y, own.length, own.width

@@ -63,6 +63,15 @@ class Recording:
             simulation.step_watchers.append(fault.note_entries)
         simulation.collision_watchers.append(lambda: fault.add(kept.at_collision(), judges=True))
 
+    @classmethod
+    def of(cls, simulation: Simulation) -> "Recording":
+        """The recording of a simulation, which it steps to its end."""
+        recording = cls(simulation)
+        while simulation.scene.active.any():
+            simulation.step()
+            recording.note()
+        return recording
+
     def note(self) -> None:
         """Keeps the end of the decision interval that has just ended."""
         was_lost = self._places.last("lost") if self._kept.changes else None

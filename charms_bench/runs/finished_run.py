@@ -99,11 +99,11 @@ class FinishedRun:
         ]
 
     def _parts(self, cell: int, *kinds: str) -> "_Parts":
-        shards, at_once = tuple(self._of_cells[cell]), PART_ROWS // self.suite.scene.decisions
+        shards, at_once = tuple(self.shards_of[cell]), PART_ROWS // self.suite.scene.decisions
         return _Parts(self.folder, kinds, shards, at_once, self.left_out(cell))
 
     @cached_property
-    def _of_cells(self) -> Mapping[int, Sequence[Shard]]:
+    def shards_of(self) -> Mapping[int, Sequence[Shard]]:
         """The shards of each cell; a suite can have 10,000 cells."""
         found: defaultdict[int, list[Shard]] = defaultdict(list)
         for shard in self.shards:
@@ -151,7 +151,7 @@ def open_finished(path: Path) -> FinishedRun:
     suite = folder.suite()
     run = FinishedRun(suite, folder, folder.shards(suite))
     for index, cell in enumerate(suite.cells):
-        present = sum(shard.episodes for shard in run._of_cells[index])
+        present = sum(shard.episodes for shard in run.shards_of[index])
         if present != suite.episodes:
             raise RunFolderError(
                 f"{path}: holds {present:,} of {suite.episodes:,} episodes of {cell.title}; "

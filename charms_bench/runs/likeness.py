@@ -30,7 +30,7 @@ from charms_bench.people.simple import REPETITIONS, constant_time_gap, nearest_n
 from charms_bench.people.trips import RATE_HZ, Trip, read_trips, split
 from charms_bench.people.unseen import unseen
 from charms_bench.plugins.agent import Agent
-from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
+from charms_bench.plugins.specs import agents_of
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.suite import Suite
 from charms_bench.world.named_road import RECORDED, NamedRoad
@@ -164,7 +164,7 @@ def likeness(suite: Suite, against: Standard) -> Iterator[Likeness]:
     asked += [("traffic", each.title, first_ego, each.traffic) for each in suite.traffics]
     for kind, label, ego, spec in asked:
         traffic = spec.make()
-        agents = _agents(suite, ego, traffic)
+        agents = agents_of(ego, traffic, suite.folder)
         driver = ego.key if kind == "ego" else traffic
         lanes = count_lanes(suite.scene, driver, ego.key, traffic, agents, suite.episodes)
         driven = drive_behind(against.parts, suite.scene, driver, agents, lanes)
@@ -177,7 +177,7 @@ def likeness_of_controls(suite: Suite, against: Standard) -> Iterator[Likeness]:
     km, changes, *_ = against.human.lanes.sum(axis=0)
     if np.isfinite(changes):
         traffic = suite.traffics[0].traffic.make()
-        agents = _agents(suite, suite.egos[0].agent, traffic)
+        agents = agents_of(suite.egos[0].agent, traffic, suite.folder)
         agents["blind"] = BlindLanes(changes / km, suite.scene.lanes)
         lanes = count_lanes(suite.scene, "blind", "blind", traffic, agents, suite.episodes)
         kept = against.references["constant time gap"]
@@ -222,13 +222,13 @@ def drive_scenes(
             "can stop in a scene; expected a profile from 0 m/s on, such as 'roads'"
         )
     traffic = suite.traffics[0].traffic.make()
-    first = _agents(suite, suite.egos[0].agent, traffic)
+    first = agents_of(suite.egos[0].agent, traffic, suite.folder)
     drivers: dict[tuple[str, str], tuple[str, Traffic, dict[str, Agent], int]] = {
         RECORDED_DRIVER: ("recorded", OneAgent("recorded"), {"recorded": AsRecorded()}, 1),
         CONSTANT_SPEED: ("constant", traffic, first | {"constant": ConstantSpeed()}, 1),
     }
     for ego in suite.egos:
-        agents = _agents(suite, ego.agent, traffic)
+        agents = agents_of(ego.agent, traffic, suite.folder)
         drivers["ego", ego.title] = ego.agent.key, traffic, agents, REPETITIONS
     parts: dict[tuple[str, str], list[Floats]] = {key: [] for key in drivers}
     left_out = []
@@ -273,8 +273,3 @@ def _scored(kind: str, label: str, against: Standard, driven: Driven) -> Likenes
 def _some(parts: list[Trip]) -> list[Trip]:
     chosen = np.random.default_rng(SEED).permutation(len(parts))[:SITUATIONS_LIMIT]
     return [parts[k] for k in np.sort(chosen)]
-
-
-def _agents(suite: Suite, ego: AgentSpec, traffic: Traffic) -> dict[str, Agent]:
-    networks = networks_of(ego, traffic, suite.folder)
-    return {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}

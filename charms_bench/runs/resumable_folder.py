@@ -144,7 +144,7 @@ class RunFolder:
 
     def _with_copy(self, road: RoadEntry) -> RoadEntry:
         """The road, whose file is the copy in the folder."""
-        copy = self._road(str(road.sha256))
+        copy = self._copy(ROADS, str(road.sha256))
         return road.model_copy(update={"file": copy}) if road.file and copy.exists() else road
 
     def _reject_roads_of_traffic(self, manifest: dict[str, Any]) -> None:
@@ -307,16 +307,19 @@ class RunFolder:
             return None
         return None if problem_between(rows, shard.ego) else files
 
-    def keep_network(self, network: Path, sha256: str) -> None:
-        """Copies a network that the suite gives by path, so that the folder is complete.
+    def keep(self, kind: str, file: Path, sha256: str) -> None:
+        """Copies a file that the suite names, so that the folder is complete.
 
-        Raises a `RunFolderError` if the network no longer has this hash.
+        `kind` is `NETWORKS` or `ROADS`. Raises a `RunFolderError` if the file no longer has this
+        hash.
         """
-        _keep(network, sha256, self._network(sha256))
-
-    def keep_road(self, file: Path, sha256: str) -> None:
-        """As `keep_network`, for the file of a road."""
-        _keep(file, sha256, self._road(sha256))
+        data, copy = read_file(file, FILE_LIMIT_BYTES), self._copy(kind, sha256)
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise RunFolderError(f"{file}: has changed since the run began; run the suite again")
+        with suppress(OSError):
+            if read_limited(copy, FILE_LIMIT_BYTES) == data:
+                return
+        write_bytes(copy, data)
 
     def road_hashes(self) -> set[str]:
         """Returns the SHA-256 of the files of all roads."""
@@ -340,7 +343,7 @@ class RunFolder:
         Raises a `RunFolderError` if the copy has changed since it was written.
         """
         sha256 = self.network_hashes().get(name, "")
-        copy = self._network(sha256)
+        copy = self._copy(NETWORKS, sha256)
         if not copy.exists():
             return None
         if hashlib.sha256(read_file(copy, FILE_LIMIT_BYTES)).hexdigest() != sha256:
@@ -366,28 +369,14 @@ class RunFolder:
         for folder, pattern in _WRITTEN.items():
             delete(self.path / folder, pattern, names)
 
-    def _network(self, sha256: str) -> Path:
-        return self.path / NETWORKS / f"{sha256}.onnx"
-
-    def _road(self, sha256: str) -> Path:
-        return self.path / ROADS / f"{sha256}.map"
+    def _copy(self, kind: str, sha256: str) -> Path:
+        return self.path / kind / f"{sha256}.{'onnx' if kind == NETWORKS else 'map'}"
 
     def _file(self, kind: str, name: str) -> Path:
         return self.path / kind / f"{name}.parquet"
 
     def _checksums(self, name: str) -> Path:
         return self.path / CHECKSUMS / f"{name}.sha256"
-
-
-def _keep(file: Path, sha256: str, copy: Path) -> None:
-    """Copies a file; raises a `RunFolderError` if it no longer has this hash."""
-    data = read_file(file, FILE_LIMIT_BYTES)
-    if hashlib.sha256(data).hexdigest() != sha256:
-        raise RunFolderError(f"{file}: has changed since the run began; run the suite again")
-    with suppress(OSError):
-        if read_limited(copy, FILE_LIMIT_BYTES) == data:
-            return
-    write_bytes(copy, data)
 
 
 def _content(path: Path) -> bytes:

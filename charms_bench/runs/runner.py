@@ -17,7 +17,7 @@ from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import FinishedRun
-from charms_bench.runs.resumable_folder import RunFolder
+from charms_bench.runs.resumable_folder import NETWORKS, ROADS, RunFolder
 from charms_bench.runs.shard import (
     CellTask,
     ShardFiles,
@@ -71,11 +71,9 @@ def run(
     A cell whose agents or traffic model fail does not end the run: it is one of `failed`. On a
     cluster it does, because a failed plugin may have changed the process, which is not ours to end.
 
-    Other arguments are those of `charms_bench.run`.
+    An interrupted run in the folder is continued. Other arguments are those of `charms_bench.run`.
 
     Args:
-        suite: What to run.
-        output: The run folder. An interrupted run in it is continued.
         progress: Called for every finished shard, first for those already in the folder.
         cluster: Simulates the shards elsewhere than on this machine; see `cluster.on_cluster`.
         on_cell: Called for every cell that is finished, with its index and its rows.
@@ -99,10 +97,10 @@ def run(
         folder.write_manifest(suite, agents)
         networks = {k: path for task in tasks.values() for k, path in task.networks.items()}
         for name, path in networks.items():
-            folder.keep_network(path, agents[name]["weights_sha256"])
+            folder.keep(NETWORKS, path, agents[name]["weights_sha256"])
         for road in suite.roads:
             if road.file is not None:
-                folder.keep_road(road.file, str(road.sha256))
+                folder.keep(ROADS, road.file, str(road.sha256))
         if rows is not None:
             folder.take(tasks, rows)
         run = FinishedRun(suite, folder, tuple(tasks), failed)

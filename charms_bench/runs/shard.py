@@ -161,10 +161,7 @@ def simulate(task: ShardTask) -> ShardFiles:
             simulation = Simulation(task.scene, count, ego, drivers.traffic, drivers.agents, engine)
             simulation.engine.ego_index, egos = len(recordings), simulation.engine.egos
             simulation.reset(np.arange(first, first + count, dtype=np.uint64))
-            recordings.append(recording := Recording(simulation))
-            while simulation.scene.active.any():
-                simulation.step()
-                recording.note()
+            recordings.append(Recording.of(simulation))
         drivers.finish(task.title)
     if problem := problem_of(names):
         raise AgentError(f"{task.title}: {problem}; its rows are rejected")

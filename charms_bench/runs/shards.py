@@ -26,6 +26,11 @@ class Shard:
     """The agent of its ego as driver rows name it; None if only the name of its files is known."""
 
     @property
+    def seeds(self) -> range:
+        """Those of its episodes."""
+        return range(self.first_seed, self.first_seed + self.episodes)
+
+    @property
     def name(self) -> str:
         """Name of its files, without the ending."""
         return f"{self.cell:03d}-{self.first_seed:09d}-{self.key[:16]}"

@@ -26,9 +26,7 @@ def remark_on(name: str) -> str:
         CharmsBenchError: The agent cannot drive.
     """
     agent, settings = make_agent(name), SceneSettings()
-    if isinstance(agent, DriverModel):
-        return ""
-    if isinstance(observation_of(agent.observation), HighwayEnv):
+    if isinstance(agent, DriverModel) or isinstance(observation_of(agent.observation), HighwayEnv):
         return ""
     if rate := settings.simulation_hz_for(float(agent.decision_hz)):
         settings = SceneSettings(simulation_hz=rate)
@@ -36,9 +34,5 @@ def remark_on(name: str) -> str:
     drivers[name] = agent
     simulation = Simulation(settings, EPISODES, name, around, drivers)
     simulation.reset(EVALUATION_SEEDS + np.arange(EPISODES, dtype=np.uint64))
-    recording = Recording(simulation)
-    while simulation.scene.active.any():
-        simulation.step()
-        recording.note()
-    actions = meta_actions_of(agent.actions)
-    return missing_lanes([recording.steps()], settings.lanes, actions).remark()
+    steps, actions = Recording.of(simulation).steps(), meta_actions_of(agent.actions)
+    return missing_lanes([steps], settings.lanes, actions).remark()

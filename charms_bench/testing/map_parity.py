@@ -1,6 +1,7 @@
 """Compares the vehicles of a road in a file with highway-env's own classes on the same lanes."""
 
 from dataclasses import fields
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from time import process_time
@@ -15,7 +16,7 @@ from charms_bench.roads.map_lanes import driven_lanes, map_of
 from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.roads.stepping import decide
 from charms_bench.testing.chunks import in_chunks
-from charms_bench.testing.road_parity import NUMBERS, Comparison, difference, route_of
+from charms_bench.testing.road_parity import Comparison, largest, pairs_of, route_of
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
 from charms_bench.world.profile import HIGHWAY_ENV
 from charms_bench.world.road_network import Lane, PolyLane
@@ -30,58 +31,46 @@ def verify_map(
     vehicles: int = 10,
     seconds: int = 10,
     workers: int | None = None,
-) -> list[Comparison]:
+) -> Comparison:
     """Compares episodes in which IDM vehicles drive their routes, second by second.
 
     They start as the road's own vehicles do, with their routes, and see vehicles on connected
     lanes. What `file_road` adds to highway-env is off: it looks ahead along the lanes that follow,
     gives way, and has levels.
     """
+    some, seeds = partial(_compare, vehicles=vehicles, seconds=seconds), range(episodes)
+    (found,) = in_chunks(some, [path], seeds, _CHUNK, str, workers, lambda episodes: None)
+    return sum(found, Comparison(path.name))
 
-    (found,) = in_chunks(
-        _Compare(vehicles, seconds),
-        [path],
-        range(episodes),
-        _CHUNK,
-        str,
-        workers,
-        lambda episodes: None,
-    )
+
+def _compare(path: Path, seeds: range, vehicles: int, seconds: int) -> Comparison:
+    """Compares episodes with highway-env as it computes in this process."""
+    ours = OwnRoad(path, vehicles)
+    ours.start(0)
+    ours.advance(1)  # compiles
+    road = NamedRoad.model_validate({"file": path})
+    network = stock_network(driven_lanes(map_of(path, str(road.sha256))))
+    names = [*network.lanes_dict()]
+    found = Comparison(path.name)
+    for seed in seeds:
+        ours.start(seed)
+        stock = stock_road(ours, network, names)
+        found.episodes += 1
+        for second in range(seconds):
+            began = process_time()
+            ours.advance(1)
+            between = process_time()
+            advance_stock(stock, HZ)
+            found.own_s += between - began
+            found.stock_s += process_time() - between
+            found.decisions += 1
+            apart, what = largest(pairs_of(ours.present, stock.vehicles, names))
+            found.largest = max(found.largest, apart)
+            if apart:
+                found.differing.append(f"episode {seed}, second {second}: {what}")
+                break
+        found.crashed += any(each.crashed for each in stock.vehicles)
     return found
-
-
-class _Compare:
-    def __init__(self, vehicles: int, seconds: int) -> None:
-        self._vehicles, self._seconds = vehicles, seconds
-
-    def __call__(self, path: Path, seeds: range) -> Comparison:
-        """Compares episodes with highway-env as it computes in this process."""
-        ours = OwnRoad(path, self._vehicles)
-        ours.start(0)
-        ours.advance(1)  # compiles
-        road = NamedRoad.model_validate({"file": path})
-        network = stock_network(driven_lanes(map_of(path, str(road.sha256))))
-        names = [*network.lanes_dict()]
-        found = Comparison(path.name)
-        for seed in seeds:
-            ours.start(seed)
-            stock = stock_road(ours, network, names)
-            found.episodes += 1
-            for second in range(self._seconds):
-                began = process_time()
-                ours.advance(1)
-                between = process_time()
-                advance_stock(stock, HZ)
-                found.own_s += between - began
-                found.stock_s += process_time() - between
-                found.decisions += 1
-                apart, what = _apart(stock, ours, names)
-                found.largest = max(found.largest, apart)
-                if apart:
-                    found.differing.append(f"episode {seed}, second {second}: {what}")
-                    break
-            found.crashed += any(each.crashed for each in stock.vehicles)
-        return found
 
 
 class OwnRoad:
@@ -173,24 +162,3 @@ def advance_stock(road: Any, steps: int) -> None:
     for _ in range(steps):
         road.act()
         road.step(1 / HZ)
-
-
-def _apart(stock: Any, ours: OwnRoad, names: list[Any]) -> tuple[float, str]:
-    """The largest difference now, and of what."""
-    pairs: dict[str, tuple[Any, Any]] = {}
-    for k, (row, theirs) in enumerate(zip(ours.present, stock.vehicles, strict=True)):
-        values = {**vars(theirs), **theirs.action}
-        values |= dict(zip("xy", theirs.position, strict=True))
-        numbers = [each for each in NUMBERS if each in values]
-        pairs |= {f"{each} of vehicle {k}": (row[each], values[each]) for each in numbers}
-        same = {
-            "lane": names[row["lane"]] == theirs.lane_index,
-            "target lane": names[row["target_lane"]] == theirs.target_lane_index,
-            "crashed": row["crashed"] == theirs.crashed,
-            "route": route_of(row, names) == [tuple(each) for each in theirs.route or ()],
-        }
-        pairs |= {f"{what} of vehicle {k}": (0.0, 0.0 if same[what] else np.inf) for what in same}
-        pairs[f"timer of vehicle {k}"] = row["timer_s"], theirs.timer
-    apart = {what: difference(*pair) for what, pair in pairs.items()}
-    what = max(apart, key=lambda name: apart[name])
-    return apart[what], f"{what}: {pairs[what][0]!r} (ours), {pairs[what][1]!r} (highway-env)"

@@ -1,6 +1,6 @@
 """Compares highway-env's environments with those of `charms_bench.roads`, decision by decision."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -22,6 +22,8 @@ NUMBERS = (
 """What is compared of a vehicle that has it."""
 MOST_DECISIONS = 200
 """An episode that is not over then is not compared further."""
+Pairs = dict[str, tuple[Any, Any]]
+"""Our value and highway-env's, by what they are of."""
 _CHUNK = 10
 _SHARE_OF_IDLE = 0.8
 _LOOK_AHEAD_S = 0.3
@@ -175,12 +177,30 @@ def _apart(
         found, their = dict(enumerate(found)), dict(enumerate(their))
     elif not isinstance(found, dict):
         found, their = {"observation": found}, {"observation": their}
-    pairs: dict[str, tuple[Any, Any]] = {f"{what}": (found[what][0], their[what]) for what in found}
+    pairs: Pairs = {f"{what}": (found[what][0], their[what]) for what in found}
     road, table = stock.unwrapped.road, ours.scenes.vehicles[0, ours.scenes.order["place"][0]]
     vehicles = [each for each in table if each["kind"] > OBSTACLE]
     if len(vehicles) != len(road.vehicles):
         return np.inf, f"{len(vehicles)} and {len(road.vehicles)} vehicles"
-    for k, (vehicle, theirs) in enumerate(zip(vehicles, road.vehicles, strict=True)):
+    pairs |= pairs_of(vehicles, road.vehicles, names)
+    if decision is not None:
+        _, reward, terminated, truncated, info = expected
+        if ours.is_split:
+            reward, terminated = stock.unwrapped._reward(None), stock.unwrapped._is_terminated()
+        pairs["reward"] = decision.rewards[0], reward
+        for term, value in zip(ours.task.terms, decision.terms[0], strict=True):
+            pairs[term] = value, info["rewards"][term]
+        ended = decision.terminated[0], decision.truncated[0]
+        pairs["end"] = 0.0, 0.0 if ended == (terminated, truncated) else np.inf
+        for name, value in ours.task.information(ours.scenes).items():
+            pairs[name] = value[0], info[name]
+    return largest(pairs)
+
+
+def pairs_of(ours: Sequence[Any], stock: Sequence[Any], names: list[Any]) -> Pairs:
+    """What is compared of the vehicles of a road, by its name."""
+    pairs: Pairs = {}
+    for k, (vehicle, theirs) in enumerate(zip(ours, stock, strict=True)):
         values = {**vars(theirs), **theirs.action}
         values |= dict(zip("xy", theirs.position, strict=True))
         numbers = [each for each in NUMBERS if each in values]
@@ -205,17 +225,11 @@ def _apart(
         if hasattr(theirs, "STEERING_PARAMETERS"):
             gains = [*theirs.ACCELERATION_PARAMETERS, *theirs.STEERING_PARAMETERS]
             pairs[f"gains of vehicle {k}"] = vehicle["gains"], gains
-    if decision is not None:
-        _, reward, terminated, truncated, info = expected
-        if ours.is_split:
-            reward, terminated = stock.unwrapped._reward(None), stock.unwrapped._is_terminated()
-        pairs["reward"] = decision.rewards[0], reward
-        for term, value in zip(ours.task.terms, decision.terms[0], strict=True):
-            pairs[term] = value, info["rewards"][term]
-        ended = decision.terminated[0], decision.truncated[0]
-        pairs["end"] = 0.0, 0.0 if ended == (terminated, truncated) else np.inf
-        for name, value in ours.task.information(ours.scenes).items():
-            pairs[name] = value[0], info[name]
+    return pairs
+
+
+def largest(pairs: Pairs) -> tuple[float, str]:
+    """The largest difference of two values, and what it is of."""
     apart = {what: difference(*pair) for what, pair in pairs.items()}
     what = max(apart, key=lambda name: apart[name])
     return apart[what], f"{what}: {pairs[what][0]!r} (ours), {pairs[what][1]!r} (highway-env)"

@@ -135,16 +135,12 @@ def verify(
     For the other arguments, see `in_chunks`.
     """
     seeds = range(seed, seed + episodes)
-    found = in_chunks(_compare, cases, seeds, _CHUNK, lambda case: case.title, workers, progress)
+    found = in_chunks(compare, cases, seeds, _CHUNK, lambda case: case.title, workers, progress)
     return [sum(each, Comparison(case)) for case, each in zip(cases, found, strict=True)]
 
 
-def _compare(case: Case, seeds: range) -> Comparison:
-    return compare(case, seeds.start, len(seeds))
-
-
-def compare(case: Case, seed: int, episodes: int) -> Comparison:
-    """Compares the engines over the episodes `seed` to `seed + episodes - 1`."""
+def compare(case: Case, seeds: range) -> Comparison:
+    """Compares the engines over the episodes of these seeds."""
     traffic = case.traffic.make()
     ego = case.ego
     kind: ActionKind = "meta" if ego else "continuous"
@@ -153,13 +149,13 @@ def compare(case: Case, seed: int, episodes: int) -> Comparison:
     agents = {driver.key: driver.make(networks) for driver in drivers}
     key = ego.key if ego else None
     ours, theirs = (
-        Simulation(case.scene, episodes, key, traffic, agents, engine, kind) for engine in ENGINES
+        Simulation(case.scene, len(seeds), key, traffic, agents, engine, kind) for engine in ENGINES
     )
     for simulation in (ours, theirs):
-        simulation.reset(np.arange(seed, seed + episodes, dtype=np.uint64))
+        simulation.reset(np.array(seeds, dtype=np.uint64))
     # highway-env computes with the numbers that it gets; networks return float32.
     controls = np.stack([random_controls(int(k), case.scene.decisions) for k in ours.seeds], 1)
-    controls = controls.astype(np.float32 if seed // _CHUNK % 2 else np.float64)
+    controls = controls.astype(np.float32 if seeds.start // _CHUNK % 2 else np.float64)
     differences: list[Difference] = []
     largest, steps, lane_changes, frame = 0.0, 0, 0, 0
     while ours.scene.active.any():
@@ -183,7 +179,7 @@ def compare(case: Case, seed: int, episodes: int) -> Comparison:
             differences.append(Difference(*where, "ending", *pair))
             ours.scene.active[row] = theirs.scene.active[row] = False
     crashed = int(ours.scene.crashed.sum())
-    return Comparison(case, episodes, steps, lane_changes, crashed, largest, tuple(differences))
+    return Comparison(case, len(seeds), steps, lane_changes, crashed, largest, tuple(differences))
 
 
 def random_controls(seed: int, decisions: int) -> Floats:

@@ -28,7 +28,7 @@ def job_of(shares: dict[str, float], weights_of: str = "", **options: Any) -> Jo
     changes = {"traffic": TrafficSpec(mixture=shares), **options}
     stages = {**suite.stages, name: suite.stages[name].model_copy(update=changes)}
     drivers = {driver: make_agent(weights_of or driver) for driver in shares}
-    return reinforcement_job(Path(), "", name, suite.model_copy(update={"stages": stages}), drivers)
+    return reinforcement_job(Path(), name, suite.model_copy(update={"stages": stages}), drivers)
 
 
 def test_who_drives_the_others_decides_the_network() -> None:
@@ -65,4 +65,4 @@ def test_the_baselines_suite_gives_the_keys_of_its_networks(tmp_path: Path) -> N
         }
         folder = level_1.parent if name == "level_1" else POLICIES
         made = json.loads((folder / f"{name}.json").read_text())
-        assert reinforcement_job(Path(), "", name, suite, drivers).key == made["key"]
+        assert reinforcement_job(Path(), name, suite, drivers).key == made["key"]

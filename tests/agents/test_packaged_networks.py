@@ -122,7 +122,7 @@ def test_each_was_trained_as_the_suite_says(suite: str, name: str) -> None:
     weights = training.weights[stage.weights].model_dump()
     assert made["style"]["weights"] == {"name": stage.weights, **weights}
     assert made["scene"] == stage.scene.model_dump(mode="json")
-    assert made["hyperparameters"] == training.hyperparameters_of(stage).inputs
+    assert made["hyperparameters"] == training.hyperparameters.model_dump(mode="json")
     assert (made["seed"], made["first_episode_seed"]) == (
         training.seed,
         training.first_episode_seed,

@@ -39,7 +39,7 @@ def test_side_by_side_values_are_the_weighted_values_plus_the_logits(
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize("inputs", [35, 40])
+@pytest.mark.parametrize("inputs", [35, 40, 14 * 8])  # the last are those of `interaction`
 def test_a_folded_network_takes_plain_observations(inputs: int) -> None:
     network, seen = untrained((16, 8), 3, inputs), observations(0, inputs)
     with torch.no_grad():

@@ -192,16 +192,6 @@ def test_the_pull_is_on_the_weights_for_standardised_observations() -> None:
     assert pulled == pytest.approx(0.3 * 8 * 35 * 0.25, rel=1e-3)
 
 
-def test_without_a_step_a_standardised_network_comes_back() -> None:
-    start = folded(untrained((8,), 0))
-    fit = Fit(start, samples(), Supervised(), 0, standardised=True)
-    for (weight, bias), (same, same_bias) in zip(
-        layers_of(start), layers_of(fit.network), strict=True
-    ):
-        np.testing.assert_allclose(weight, same, rtol=1e-6)
-        np.testing.assert_allclose(bias, same_bias, rtol=1e-5, atol=1e-6)
-
-
 def test_what_is_rehearsed_changes_less() -> None:
     data, start = samples(200), untrained((8,), 0)
     own = np.random.default_rng(1).normal(2.0, 1.0, size=(300, 7, 5)).astype(np.float32)

@@ -11,11 +11,9 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
 from charms_agents.human.simulated import simulated_samples
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
-from charms_agents.training.network import untrained
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.rewards import Weights
 from charms_agents.training.settings import TrainingSuite
-from charms_agents.training.standardised import folded, standardise, unfolded
 from charms_agents.training.suite_file import load_training
 from handmade_scene import simulation_of
 
@@ -147,14 +145,6 @@ def test_the_goal_earns_its_reward_once_and_for_the_ego_itself() -> None:
         rewards.append(float(reward(simulation, prepared)[0]))
     # Alone, the ego is safe: 1, of which cos 60 degrees counts, as of the goal.
     assert rewards == pytest.approx([0.5, 0.5 + 25.0])
-
-
-def test_a_folded_network_takes_plain_observations_of_junctions() -> None:
-    network, seen = untrained((8,), 0, 14 * 8, 6), torch.rand(5, 14 * 8) * 2 - 1
-    expected = network(standardise(seen))
-    plain = folded(network)
-    torch.testing.assert_close(plain(seen), expected)
-    torch.testing.assert_close(unfolded(plain)(standardise(seen)), expected)
 
 
 def test_drivers_on_roads_are_imitated(tmp_path: Path) -> None:

@@ -110,8 +110,6 @@ WRONG: tuple[tuple[Path, str, Any, str], ...] = (
     (SUITE, "stages.level_1.traffic", {"mixture": {"level_0": 0.5}}, "must .* sum to 1"),
     (SUITE, "stages.prior_level_k.traffic", {"name": "level_1", "options": {"tau": 1.5}},
      "no traffic named 'level_1'"),
-    (SUITE, "seeds", [1, 2, 1], "a seed is given twice in seeds"),
-    (SUITE, "stages.level_1.variant", "calm", "no variant named 'calm'; this file has: "),
     (SUITE, "weights.safe.comfort", -1.0, "weights.safe.comfort"),
     (SUITE, "stages.level_1.scene.density", 0, "stages.level_1.scene.density"),
     (SHIPPED, "stages.level_1.conditions", "level_9",
@@ -241,24 +239,14 @@ def test_the_learning_rate_of_the_paper_stays() -> None:
 
 
 def test_an_option_counts_as_an_input_only_where_it_is_used() -> None:
-    assert "return_steps" not in Hyperparameters().inputs
-    assert Hyperparameters(return_steps=3).inputs == {**Hyperparameters().inputs, "return_steps": 3}
-
-
-def test_a_stage_can_name_other_hyperparameters(tmp_path: Path) -> None:
-    file = changed(tmp_path, "variants", value={"calm": {"learning_rate": 2e-4}})
-    data = yaml.safe_load(file.read_text())
-    data["stages"]["prior_level_k"]["variant"] = "calm"
-    file.write_text(yaml.safe_dump(data, sort_keys=False))
-    suite = load_training(file)
-    rates = {n: suite.hyperparameters_of(s).learning_rate for n, s in suite.stages.items()}
-    assert (rates["level_1"], rates["prior_level_k"]) == (1e-4, 2e-4)
+    plain, used = Hyperparameters().model_dump(), Hyperparameters(return_steps=3).model_dump()
+    assert "return_steps" not in plain
+    assert used == {**plain, "return_steps": 3}
 
 
 def test_the_papers_suite_has_eight_styles_fine_tuned_as_in_its_table() -> None:
     suite = load_training(SUITES / "train-paper.yaml")
     assert suite.human is not None
-    assert suite.variants == {}
     styles = {(s.weights, s.svo) for n, s in suite.stages.items() if n != "level_1"}
     assert len(styles) == 8
     tuned = [s for s in suite.human_stages.values() if s.fine_tunes]
@@ -273,7 +261,7 @@ def test_environments_are_divided_equally_among_the_conditions() -> None:
     stage = suite.stages["efficient_egoistic"]
     places = suite.places_of(stage)
     assert len(places) == 25
-    assert suite.hyperparameters_of(stage).scenes % len(places) == 0
+    assert suite.hyperparameters.scenes % len(places) == 0
     scenes = [scene for scene, _ in places]
     assert {scene.lanes for scene in scenes} == {2, 3, 5}
     assert {scene.density for scene in scenes} == {1.0, 1.5, 2.0}
@@ -305,4 +293,4 @@ def test_options_that_the_paper_lacks_leave_the_keys_of_its_stages_as_they_were(
     assert "loss" not in Supervised().model_dump()
     assert Supervised(loss="cross_entropy").model_dump()["loss"] == "cross_entropy"
     assert not {"labels", "step_mps"} & SampleSettings().model_dump().keys()
-    assert "prior_weight" not in Hyperparameters().inputs
+    assert "prior_weight" not in Hyperparameters().model_dump()

@@ -95,7 +95,6 @@ def test_an_interrupted_dataset_leaves_nothing(
     ("options", "message"),
     [
         ({"ego": "IDM+MOBIL"}, "IDM.MOBIL is a driver model, without observations"),
-        ({}, "choose one with --ego and --traffic"),
         ({"ego": "Keep right", "episodes": 5}, "5 episodes; expected 1 to 4"),
         ({"ego": "Keep right", "output": "data"}, "data: .* a version at the end, as in charms-"),
     ],

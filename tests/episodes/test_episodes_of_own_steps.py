@@ -1,6 +1,5 @@
 """Episodes of a policy with speed steps of its own, looked at again."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +7,8 @@ import pytest
 from linear_network import linear_network
 
 from charms_bench.episodes.avoidability import _Always, avoidability, collisions
-from charms_bench.episodes.minari_dataset import check_policy, environment_of
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
-from charms_bench.episodes.what_if import what_if
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
 from charms_bench.world.actions import (
@@ -20,7 +17,6 @@ from charms_bench.world.actions import (
     FASTER,
     SLOWER,
     Actions,
-    meta_actions_of,
     with_speed_steps,
 )
 from charms_bench.world.scene import Observations
@@ -45,18 +41,6 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> RecordedCell:
         "traffic_models": [{"traffic": {"mixture": {"idm_mobil": 0.5, "level_0": 0.5}}}],
     }
     return RecordedCell(run(Suite.model_validate(suite), folder / "run", workers=1), 0, Path())
-
-
-def test_episodes_repeat_and_can_be_taken_over(cell: RecordedCell) -> None:
-    ended, going = collisions(cell)[0], 900_000_000
-    assert len(replay(cell, [ended, going])) == 2
-    own = cell.cell.ego.agent.key
-    same = what_if(cell, going, 2, own, None)
-    assert np.array_equal(same.recorded.x, same.other.x)
-    place = next(k for k, name in enumerate(same.recorded.agents) if name == "level_0")
-    taken = what_if(cell, going, 2, own, place).other
-    assert taken.agents[place] == own
-    assert taken.action[taken.frame_of(2), place] == FASTER
 
 
 def test_other_actions_of_the_ego_have_its_steps(cell: RecordedCell) -> None:
@@ -110,13 +94,3 @@ def test_a_replaced_action_is_carried_out_with_the_steps_of_its_driver(
         with_speed_steps(4.0, 3.0),
         DEFAULT_ACTIONS,
     }  # of the ego, and of level_0 in the traffic
-
-
-def test_the_environment_of_its_dataset_has_its_actions(cell: RecordedCell) -> None:
-    policy = check_policy(cell)
-    spec = environment_of(cell.cell, policy)
-    assert spec is not None
-    slower = {"name": "SLOWER", "speed_steps_mps": [-4.0, -3.0]}
-    assert json.loads(json.dumps(spec.kwargs["actions"]))[SLOWER] == slower
-    own = spec.make().unwrapped.simulation.meta_actions[0]
-    assert own == meta_actions_of(policy.actions)

@@ -23,10 +23,7 @@ def test_the_likeness_and_the_metrics_count_the_same_lane_changes(hz: int) -> No
     counted = count_lanes(settings, "stackelberg", "stackelberg", traffic, agents, EPISODES)
     simulation = Simulation(settings, EPISODES, "stackelberg", traffic, agents)
     simulation.reset(np.arange(EPISODES, dtype=np.uint64))
-    recording = Recording(simulation)
-    while simulation.scene.active.any():
-        simulation.step()
-        recording.note()
+    recording = Recording.of(simulation)
     (metric,) = (m for m in standard(0.0).metrics if m.name == "lane_changes_undone")
     (sums,) = sums_by_episode([metric], recording.episodes(), recording.steps(), settings)
     whole = ~simulation.failed  # the step of a collision counts for the likeness only

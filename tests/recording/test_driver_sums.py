@@ -125,10 +125,7 @@ def test_the_egos_crash_is_of_the_kind_that_ended_its_episode() -> None:
     agents = {"idm_mobil": IdmMobil(), "reckless": Reckless()}
     made = Simulation(settings, 60, "reckless", OneAgent("idm_mobil"), agents)
     made.reset(np.arange(900_000_000, 900_000_060, dtype=np.uint64))
-    recording = Recording(made)
-    while made.scene.active.any():
-        made.step()
-        recording.note()
+    recording = Recording.of(made)
     ego = recording.drivers().filter(pl.col("is_ego")).join(recording.episodes(), on="episode")
     assert (ego["at_fault"] == ego["at_fault_right"].fill_null(False).cast(pl.Int32)).all()
     assert set(ego["at_fault_right"]) >= {False, True}

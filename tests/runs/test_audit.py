@@ -325,16 +325,12 @@ EDITS: dict[str, tuple[Callable[[Path], object], int, Sequence[str]]] = {
 @pytest.mark.parametrize("title", EDITS)
 def test_what_was_changed_is_named(title: str, folder: Path) -> None:
     edit, code, said = EDITS[title]
-    edit(folder)
+    expected = edit(folder)
     answer = audited(folder)
     assert answer.returncode == code, answer
     assert [each for each in said if each not in answer.stdout] == []
+    assert not isinstance(expected, str) or expected in answer.stdout
     assert code == 1 or "fail " not in answer.stdout
-
-
-def test_the_digit_that_was_changed_is_named(folder: Path) -> None:
-    expected = change_digit(folder)
-    assert expected in audited(folder).stdout
 
 
 def test_a_table_of_other_thresholds_is_true(folder: Path) -> None:

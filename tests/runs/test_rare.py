@@ -150,12 +150,6 @@ def test_a_folder_with_another_estimation_is_rejected(
         api.rare(suite, event, whole.path, **{**OPTIONS, **options})
 
 
-def test_a_folder_with_something_else_is_left_alone(tmp_path: Path, suite: Path) -> None:
-    with pytest.raises(RunFolderError, match="holds no estimation"):
-        api.rare(suite, output=tmp_path, **OPTIONS)
-    assert [path.name for path in tmp_path.iterdir()] == [suite.name]
-
-
 def test_a_killed_estimation_continues(whole: api.Rare, suite: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
     arguments = [suite, "--event", EVENT, "--runs", 5, "--samples", 100, "--workers", 1]

@@ -406,7 +406,7 @@ def test_only_roads_have_an_environment(keys: dict[str, object], what: str) -> N
 
 
 def test_pairs_of_egos_are_those_on_the_same_road(made: Any, tmp_path: Path) -> None:
-    text = TEXT.replace("  - traffic: {mixture", "").split("traffic_models")[0] + "pairs: true\n"
+    text = TEXT.split("traffic_models")[0] + "pairs: true\n"
     path = tmp_path / "pairs.yaml"
     path.write_text(text)
     pairs = run_file(path, tmp_path / "run", workers=1).tables["small-roads-pairs"].frame()

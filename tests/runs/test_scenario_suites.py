@@ -351,8 +351,8 @@ def test_an_agent_beside_the_egos_is_searched_and_shown(tmp_path: Path) -> None:
     ("agent", "traffic", "error"),
     [
         ("Level 9", "Braking", "no agent named 'Level 9'.*Did you mean 'Level 0'"),
-        ("Level 0", "Brakes", "no scenario called 'Brakes'.*Known: Braking"),
-        ("Level 0", "Traffic", "no scenario called 'Traffic'"),
+        ("Level 0", "Brakes", "--traffic: none called 'Brakes' can be searched.*Known: Braking"),
+        ("Level 0", "Traffic", "--traffic: none called 'Traffic' can be searched"),
         ("mine.onnx", "Braking", "--ego mine.onnx .*; give a network's file with --agent"),
     ],
 )

@@ -14,11 +14,11 @@ from functools import cached_property
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import polars as pl
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from charms_agents.human.drivers import drivers, moments
 from charms_agents.human.manoeuvres import manoeuvres
@@ -31,7 +31,7 @@ from charms_agents.human.soft_labels import (
     step_labels,
 )
 from charms_bench.errors import DataError
-from charms_bench.foundation.fields import FrozenModel, NonNegative, Positive
+from charms_bench.foundation.fields import UNLESS_EMPTY, FrozenModel, NonNegative, Positive
 from charms_bench.foundation.files import read_limited, write_bytes
 from charms_bench.people.situations import LANES, situations
 from charms_bench.people.survey import Learnable
@@ -79,21 +79,19 @@ class Interface(NamedTuple):
         """The type of labels."""
         return pl.Array(pl.Float32, len(self.actions))
 
-    def brakings(self, decision_hz: float) -> dict[int, float]:
-        """See `soft_labels.brakings`."""
-        return brakings(self.actions, self.scene, decision_hz)
-
 
 DEFAULT_INTERFACE = Interface()
 
 
 class SampleSettings(FrozenModel):
-    """How samples are taken from recordings."""
+    """How samples are taken from recordings; those of the paper's labels keep their fingerprint."""
 
-    labels: Literal["moment", "manoeuvre"] = "moment"
+    labels: Annotated[
+        Literal["moment", "manoeuvre"], Field(exclude_if=lambda labels: labels == "moment")
+    ] = "moment"
     """What labels follow from: the acceleration and the drift at the moment of a decision, as in
     the paper, or what the driver goes on to do; see `manoeuvres`."""
-    step_mps: Positive | None = None
+    step_mps: Annotated[Positive | None, UNLESS_EMPTY] = None
     """If given, with `labels: manoeuvre`, FASTER and SLOWER have the probability with which steps
     of this size, one per decision at most, give the driver's mean acceleration. Without it, as in
     the paper, they are certain above 0.2 m/s2; a policy that follows such labels
@@ -108,16 +106,6 @@ class SampleSettings(FrozenModel):
     """Share of the drivers to hold out, rounded to whole drivers; at least one, unless the share is
     0 or there is only one driver."""
     seed: Annotated[int, Field(ge=0)] = 0
-
-    @model_serializer(mode="wrap")
-    def _without_the_papers_labels(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As before there were other labels: samples with the paper's keep their fingerprint."""
-        fields: dict[str, Any] = dump(self)
-        if self.labels == "moment":
-            del fields["labels"]
-        if self.step_mps is None:
-            del fields["step_mps"]
-        return fields
 
     @model_validator(mode="after")
     def _steps_have_manoeuvres(self) -> "SampleSettings":
@@ -208,7 +196,7 @@ def fingerprint(
     if observation != neighbours:
         told += f" {observation.name}"
     if interface.actions != DEFAULT_ACTIONS:
-        braking = interface.brakings(settings.decision_hz)
+        braking = brakings(*interface, settings.decision_hz)
         told += f" {described_actions(interface.actions)} {braking}"
     digest = hashlib.sha256(told.encode())
     for trio in trios:
@@ -296,7 +284,7 @@ class CharmsSampler:
         else:
             strongest = self.settings.step_mps * self.settings.decision_hz
             lateral, acceleration = (rows[name].to_numpy() for name in ("lateral", "acceleration"))
-            braking = self._interface.brakings(self.settings.decision_hz)
+            braking = brakings(*self._interface, self.settings.decision_hz)
             found = step_labels(lateral, acceleration, strongest, actions, braking)
         labels[accepted.to_numpy()] = found
         label = pl.Series(labels, dtype=self._interface.label)

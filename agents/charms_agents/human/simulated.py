@@ -15,10 +15,10 @@ import polars as pl
 from charms_agents.human.interface import through_interface
 from charms_agents.human.samples import Samples
 from charms_agents.human.soft_labels import columns_of
-from charms_bench.engine import EngineName, MakeEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
+from charms_bench.runs.shard import engine_on
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 from charms_bench.world.interaction_observation import CHANGE_MPS, EGO, REPEATS, Interaction
 from charms_bench.world.observations import (
@@ -46,22 +46,17 @@ def simulated_samples(
     observation: NamedObservation,
     actions: Sequence[MetaAction] = DEFAULT_ACTIONS,
 ) -> Samples:
-    """The samples of each of the drivers in each of the places.
+    """The samples of each of the drivers, as egos, in each of the places: scenes and traffics.
 
-    Args:
-        drivers: Drive the egos.
-        places: Scenes and traffics.
-        others: All agents that the traffics name, by name.
-        episodes: Of each driver in each place; their seeds follow `first_seed`.
-        observation: What the samples have.
-        actions: The meta-actions.
+    `others` are all agents that the traffics name, by name. Each driver has `episodes` in each
+    place, whose seeds count up from `first_seed`.
     """
     observed, chosen, held_out = [], [], []
     for driver in drivers:
         for scene, traffic in places:
             seeds = np.arange(first_seed, first_seed + episodes, dtype=np.uint64)
             agents = {**others, _EGO: driver}
-            simulation = Simulation(scene, episodes, _EGO, traffic, agents, _engine_of(scene))
+            simulation = Simulation(scene, episodes, _EGO, traffic, agents, engine_on(scene))
             simulation.reset(seeds)
             seen, taken, running = _driven(simulation, observation, actions)
             last = np.arange(episodes) >= episodes - max(1, round(HELD_OUT * episodes))
@@ -71,14 +66,6 @@ def simulated_samples(
             first_seed += episodes
     labels = np.eye(len(actions), dtype=np.float32)[np.concatenate(chosen)]
     return Samples(np.concatenate(observed), labels, np.concatenate(held_out), pl.DataFrame())
-
-
-def _engine_of(scene: SceneSettings) -> EngineName | MakeEngine:
-    if scene.network is None:
-        return "batched"
-    from charms_bench.roads.engine import RoadEngine  # slow to import
-
-    return RoadEngine
 
 
 def _driven(

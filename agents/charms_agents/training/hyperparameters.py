@@ -1,15 +1,20 @@
-"""Hyperparameters: how a network learns by reinforcement, and how from samples."""
+"""Hyperparameters: how a network learns by reinforcement, and how from samples.
 
-from typing import Annotated, Any, Literal
+Options that the paper lacks are written only where they are used, so that stages without them keep
+their keys.
+"""
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from typing import Annotated, Literal
 
-from charms_bench.foundation.fields import FrozenModel, NonNegative, Positive
+from pydantic import Field, model_validator
+
+from charms_bench.foundation.fields import UNLESS_EMPTY, FrozenModel, NonNegative, Positive
 
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Width = Annotated[int, Field(ge=1, le=4096)]
 """Number of neurons in a layer."""
 Share = Annotated[float, Field(ge=0, le=1)]
+UNLESS_1 = Field(exclude_if=lambda value: value == 1)
 
 
 class Hyperparameters(FrozenModel):
@@ -33,17 +38,17 @@ class Hyperparameters(FrozenModel):
     hidden_layers: Annotated[tuple[Width, ...], Field(strict=False, max_length=8)] = (256, 256)
     scenes: Annotated[int, Field(ge=1, le=1000)] = 10
     """Number of episodes simulated at the same time."""
-    return_steps: Count = 1
+    return_steps: Annotated[Count, UNLESS_1] = 1
     """Number of rewards in a target before the value (n-step returns)."""
-    target_update_rate: Annotated[float, Field(gt=0, le=1)] = 1.0
+    target_update_rate: Annotated[float, Field(gt=0, le=1), UNLESS_1] = 1.0
     """Weight of the network in an update of the target network; 1 copies it."""
-    learning_rate_decay: Share = 0.0
+    learning_rate_decay: Annotated[Share, UNLESS_EMPTY] = 0.0
     """Share of all steps, at the end, over which the learning rate falls to 0."""
-    standardised: bool = False
+    standardised: Annotated[bool, UNLESS_EMPTY] = False
     """Whether the network takes standardised observations, of order 1."""
-    prior_weight: NonNegative = 0.0
+    prior_weight: Annotated[NonNegative, UNLESS_EMPTY] = 0.0
     """Lambda: what a stage with a `prior` pays per nat that its policy departs from the prior."""
-    starts_at_mean_reward: bool = False
+    starts_at_mean_reward: Annotated[bool, UNLESS_EMPTY] = False
     """Whether the untrained network's values are raised to the mean reward of the first, random
     steps divided by 1 - discount. From 0, values rise slowly, because each target has the value of
     the next step."""
@@ -76,23 +81,6 @@ class Hyperparameters(FrozenModel):
         fall = (1 - remaining) * (self.exploration_final - self.exploration_initial)
         return self.exploration_initial + fall / self.exploration_share
 
-    @property
-    def inputs(self) -> dict[str, Any]:
-        """The hyperparameters, ready for JSON; unused options that the paper lacks are left out."""
-        used = self.model_dump(include=OPTIONS, exclude_defaults=True)
-        return self.model_dump(mode="json", exclude=OPTIONS - used.keys())
-
-
-OPTIONS = {
-    "return_steps",
-    "target_update_rate",
-    "learning_rate_decay",
-    "standardised",
-    "starts_at_mean_reward",
-    "prior_weight",
-}
-"""The options that the paper's Double DQN lacks; the default of each turns it off."""
-
 
 class Supervised(FrozenModel):
     """Settings of learning from human driving; the defaults are the paper's fine-tuning."""
@@ -108,17 +96,12 @@ class Supervised(FrozenModel):
     """Weight of the change of Q in the network's own driving; 0 in the paper."""
     learning_rate_decay: Share = 0.0
     """Share of all epochs, at the end, over which the learning rate falls to 0; 0 in the paper."""
-    loss: Literal["divergence", "cross_entropy"] = "divergence"
+    loss: Annotated[
+        Literal["divergence", "cross_entropy"],
+        Field(exclude_if=lambda loss: loss == "divergence"),
+    ] = "divergence"
     """The divergence of the policy from the labels, as in eq. 11, or the cross-entropy, which is
     smallest where the policy has the labels' probabilities."""
-
-    @model_serializer(mode="wrap")
-    def _without_the_papers_loss(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As before there was another loss: stages with the paper's keep their keys."""
-        fields: dict[str, Any] = dump(self)
-        if self.loss == "divergence":
-            del fields["loss"]
-        return fields
 
     def learning_rate_at(self, epoch: int) -> float:
         """The learning rate of an epoch; epochs are counted from 1."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib.metadata import version
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from charms_agents.human.samples import SampleStore
@@ -35,18 +35,11 @@ INTERFACE = {"observation", "actions"}
 """What a suite says of the networks' inputs and outputs."""
 
 
-def title_of(seed_folder: str, name: str) -> str:
-    """The name of a stage, after the folder of its seed if it has one."""
-    return (PurePosixPath(seed_folder) / name).as_posix()
-
-
 @dataclass(frozen=True)
 class Job:
     """A stage that is ready to be trained, and its folder."""
 
     output: Path
-    seed_folder: str
-    """The folder of the stage's seed in the run folder; empty if the suite has one seed."""
     name: str
     suite: TrainingSuite
     style: str
@@ -70,13 +63,9 @@ class Job:
         return hashlib.sha256(json.dumps(self.inputs, sort_keys=True).encode()).hexdigest()
 
     @property
-    def title(self) -> str:
-        return title_of(self.seed_folder, self.name)
-
-    @property
     def folder(self) -> Path:
         """The folder of the stage."""
-        return self.output / self.seed_folder / f"{self.name}-{self.key[:12]}"
+        return self.output / f"{self.name}-{self.key[:12]}"
 
     def file(self, ending: str) -> Path:
         """The stage's network (`.onnx`), manifest (`.json`) or learning curve (`.csv`)."""
@@ -86,7 +75,7 @@ class Job:
         """Copies the stage's files to paths without the hash of its inputs, for suites to name."""
         for ending in (".onnx", ".json", ".csv"):
             data = self.file(ending).read_bytes()
-            copy = self.output / self.seed_folder / "networks" / f"{self.name}{ending}"
+            copy = self.output / "networks" / f"{self.name}{ending}"
             if not copy.exists() or copy.read_bytes() != data:
                 write_bytes(copy, data)
 
@@ -98,7 +87,6 @@ class Job:
 
 def reinforcement_job(
     output: Path,
-    seed_folder: str,
     name: str,
     suite: TrainingSuite,
     drivers: Mapping[str, Agent],
@@ -123,7 +111,7 @@ def reinforcement_job(
         "style": styles.get("", styles),
         "seed": suite.seed,
         "first_episode_seed": suite.first_episode_seed,
-        "hyperparameters": suite.hyperparameters_of(stage).inputs,
+        "hyperparameters": suite.hyperparameters.model_dump(mode="json"),
         "curve_steps": suite.curve_steps,
         "scene": stage.scene.model_dump(mode="json"),
         "traffic": _traffic_inputs(stage, drivers),
@@ -135,7 +123,7 @@ def reinforcement_job(
     known = (_style_text(stage), stage.steps, Policy.decision_hz, inputs, make)
     actions, draws = suite.actions_in(stage.scene), prior is not None
     given = suite.styles_of(stage)
-    return Job(output, seed_folder, name, suite, *known, actions, draws, given)
+    return Job(output, name, suite, *known, actions, draws, given)
 
 
 def _style_inputs(suite: TrainingSuite, style: StageStyle) -> dict[str, Any]:
@@ -171,7 +159,6 @@ def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any
 
 def human_job(
     output: Path,
-    seed_folder: str,
     name: str,
     suite: TrainingSuite,
     samples: SampleStore | None,
@@ -238,7 +225,7 @@ def human_job(
     make = partial(_fit, suite, stage, layers, samples, start, drivers)
     known = (style, settings.epochs, decision_hz, inputs, make)
     actions = suite.actions if scene is None else suite.actions_in(scene)
-    return Job(output, seed_folder, name, suite, *known, actions, draws)
+    return Job(output, name, suite, *known, actions, draws)
 
 
 def _files_sha256(agent: Agent) -> str:
@@ -247,8 +234,7 @@ def _files_sha256(agent: Agent) -> str:
 
 def _is_standardised(suite: TrainingSuite, stage: HumanStage) -> bool:
     """Whether the weights that learn are those for standardised observations."""
-    tuned = stage.fine_tunes and suite.stages[stage.fine_tunes]
-    return suite.hyperparameters_of(tuned).standardised if tuned else True
+    return suite.hyperparameters.standardised or stage.fine_tunes is None
 
 
 def _fit(

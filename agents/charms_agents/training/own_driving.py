@@ -28,14 +28,8 @@ def own_driving(
 ) -> Observations:
     """(M, rows, columns) the observations at all decisions of `EPISODES` episodes.
 
-    The network drives the egos; each place has equally many episodes.
-
-    Args:
-        network: Takes plain observations.
-        places: Scenes, and traffics that assign one of `drivers` to each of the other vehicles.
-        drivers: All agents that the traffics name, by name.
-        first_seed: Seed of the first episode; each further episode adds 1.
-        meta_actions: What the network chooses from.
+    The network, which takes plain observations, drives the egos; each place, a scene and a traffic
+    of some of `drivers`, has equally many episodes. Their seeds count up from `first_seed`.
     """
     rng = np.random.default_rng(first_seed)
     observed: list[Observations] = []

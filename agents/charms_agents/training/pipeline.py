@@ -14,7 +14,7 @@ from types import FrameType
 from rich.console import Console
 
 from charms_agents.human.samples import SampleStore
-from charms_agents.training.job import Job, human_job, reinforcement_job, title_of
+from charms_agents.training.job import Job, human_job, reinforcement_job
 from charms_agents.training.schedule import run_stages
 from charms_agents.training.settings import SimulatedDrivers, Stage, TrainingSuite
 from charms_agents.training.stage import Interrupted
@@ -43,9 +43,8 @@ def run(
 
     Each stage has a folder in `output`, whose name contains a hash of the stage's inputs;
     `networks` has the networks, manifests and curves of all stages by name; `curves.csv`,
-    `curves.png`, `stages.csv` and `columns.json` cover all stages. If the suite has several seeds,
-    the stages and networks of each are in its own folder. See `charms_bench.train` for the other
-    arguments.
+    `curves.png`, `stages.csv` and `columns.json` cover all stages. See `charms_bench.train` for the
+    other arguments.
 
     Raises:
         KeyboardInterrupt: The training was interrupted; `output` holds checkpoints.
@@ -56,7 +55,6 @@ def run(
     if only is not None and only not in suite.needs:
         raise InputError(f"{suite_file}: no stage named '{only}'; it has: {', '.join(suite.needs)}")
     names = suite.order if only is None else suite.needed_for(only)
-    suites = suite.by_seed
     console = Console(stderr=True, force_interactive=None if sys.stderr.isatty() else False)
 
     def say(text: str) -> None:
@@ -68,19 +66,15 @@ def run(
     ):
         samples = _sample_store(suite_file, suite, output, recordings)
 
-    needs = {
-        title_of(seed_folder, name): [title_of(seed_folder, each) for each in suite.needs[name]]
-        for seed_folder in suites
-        for name in names
-    }
+    needs = {name: suite.needs[name] for name in names}
     with locked(output):
         if samples is not None:
             samples.load()
         with _stop_on_signals() as stop, progress(console) as tell:
-            make_job = partial(_make_job, output, suite_file.parent, suites, samples)
+            make_job = partial(_make_job, output, suite_file.parent, suite, samples)
             workers = workers or os.cpu_count() or 1
             finished = run_stages(needs, make_job, suite_sha256, workers, tell, say, stop)
-        jobs = {title: finished[title] for title in needs}
+        jobs = {name: finished[name] for name in names}
         for job in jobs.values():
             job.publish()
         write_curves(output, suite, jobs)
@@ -109,17 +103,15 @@ def _sample_store(
 def _make_job(
     output: Path,
     folder: Path,
-    suites: Mapping[str, TrainingSuite],
+    suite: TrainingSuite,
     samples: SampleStore | None,
-    title: str,
+    name: str,
     finished: Mapping[str, Job],
 ) -> Job:
     """The job of a stage whose needs are finished, of a suite in a folder."""
-    seed_folder, _, name = title.rpartition("/")
-    suite = suites[seed_folder]
 
     def network(stage: str) -> Path:
-        return finished[title_of(seed_folder, stage)].file(".onnx")
+        return finished[stage].file(".onnx")
 
     def agent(driver: str) -> Agent:
         if driver in suite.names:
@@ -131,7 +123,7 @@ def _make_job(
 
     if (stage := suite.stages.get(name)) is not None:
         prior = network(stage.prior) if stage.prior else None
-        return reinforcement_job(output, seed_folder, name, suite, drivers(stage), prior)
+        return reinforcement_job(output, name, suite, drivers(stage), prior)
     assert suite.human is not None
     human = suite.human.stages[name]
     start = network(human.fine_tunes) if human.fine_tunes else None
@@ -139,7 +131,7 @@ def _make_job(
         among, samples = drivers(suite.human.simulated), None
     else:
         among = drivers(suite.stages[human.fine_tunes] if human.fine_tunes else None)
-    return human_job(output, seed_folder, name, suite, samples, start, among)
+    return human_job(output, name, suite, samples, start, among)
 
 
 @contextmanager

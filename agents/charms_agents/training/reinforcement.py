@@ -22,11 +22,7 @@ from charms_bench.world.scene import Observations
 
 
 class Reinforcement:
-    """Learns a stage's network by Double DQN among `drivers`; episodes have successive seeds.
-
-    Args:
-        prior: The file of the stage's prior; None without a prior.
-    """
+    """Learns a stage's network by Double DQN among `drivers`; episodes have successive seeds."""
 
     point = Point
 
@@ -41,7 +37,7 @@ class Reinforcement:
         self.curve: list[Point] = []
         """The points so far, one every `curve_steps`."""
         self._ended: list[dict[str, Any]] = []
-        reward, h = stage.reward_of(suite.weights), suite.hyperparameters_of(stage)
+        reward, h = stage.reward_of(suite.weights), suite.hyperparameters
         places, seed = suite.places_of(stage), suite.first_episode_seed
         count, apart = h.scenes // len(places), EPISODES_OF_A_SEED // len(places)
         seen = suite.observed, suite.actions

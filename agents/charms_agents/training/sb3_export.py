@@ -100,8 +100,6 @@ def export_zip(
     for a PPO or A2C, ReLU for the others.
 
     Args:
-        checkpoint: The zip that Stable-Baselines3 saved.
-        output: The `.onnx` file.
         facts: Further metadata, beside what this function finds.
         observation: The observation that the network was trained on; by default, the one that the
             checkpoint states or whose bounds it has.

@@ -61,9 +61,9 @@ def run_stages(
         return jobs
 
     def end(job: Job, how: str = "finished") -> None:
-        say(f"{job.title}: {how}, in {job.folder}")
-        finished[job.title] = job
-        sorter.done(job.title)
+        say(f"{job.name}: {how}, in {job.folder}")
+        finished[job.name] = job
+        sorter.done(job.name)
 
     if workers == 1:
         while sorter.is_active():
@@ -73,7 +73,7 @@ def run_stages(
         return finished
 
     work = partial(_train_in_worker, suite_sha256)
-    title = attrgetter("title")
+    title = attrgetter("name")
     with Pool(work, workers, title, notice=say, told=lambda words: tell(*words)) as pool:
         try:
             while sorter.is_active():

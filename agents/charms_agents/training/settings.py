@@ -38,7 +38,6 @@ Names = Annotated[
     Field(strict=False, max_length=20),
 ]
 """Some names; a name alone is one of them."""
-Seed = Annotated[int, Field(ge=0, lt=2**23)]
 Angle = Annotated[float, Field(ge=-math.pi, le=math.pi)]
 
 
@@ -113,8 +112,6 @@ class Stage(FrozenModel):
     traffic: TrafficSpec
     """The traffic. A name means a stage of this file, or else an installed agent or traffic; a name
     that ends in `.onnx` is the path of a network, from the suite file's folder."""
-    variant: Name | None = None
-    """A name in the suite's `variants`; by default, its `hyperparameters` apply."""
     conditions: Names = ()
     """Names in the suite's `conditions`, among which environments are divided equally."""
     prior: Name | None = None
@@ -209,10 +206,7 @@ class TrainingSuite(FrozenModel):
 
     pipeline: Literal["charms"]
     title: Line = ""
-    seed: Seed = 0
-    seeds: Annotated[tuple[Seed, ...], Field(strict=False, max_length=100)] = ()
-    """If given, every stage is trained once with each of these seeds instead of `seed`; the stages
-    of a seed need only stages of the same seed."""
+    seed: Annotated[int, Field(ge=0, lt=2**23)] = 0
     observation: Annotated[str | dict[str, Any], AfterValidator(_learnt)] = "neighbours"
     """What the networks observe: `paper_neighbours`, as in the paper, or `neighbours`, each with
     the option `commands`; or `interaction`, on all roads."""
@@ -221,8 +215,6 @@ class TrainingSuite(FrozenModel):
     the action does, such as `{name: BRAKE, speed_from_present_mps: -6.0}`; see
     `charms_bench.world.actions.MetaAction`. Steps of the profile become the network's own."""
     hyperparameters: Hyperparameters = Hyperparameters()
-    variants: dict[Name, Hyperparameters] = Field(default={})
-    """Further hyperparameters, which stages can name."""
     curve_steps: Count = 10_000
     """Steps between two points of the learning curve."""
     checkpoint_s: Positive = 60.0
@@ -235,12 +227,6 @@ class TrainingSuite(FrozenModel):
     stages: Annotated[dict[Name, Stage], Field(min_length=1, max_length=100)]
     """Stages of reinforcement learning; `like` names a stage to copy missing settings from."""
     human: Human | None = None
-
-    @model_validator(mode="after")
-    def _seeds_differ(self) -> "TrainingSuite":
-        if len(set(self.seeds)) < len(self.seeds):
-            raise ValueError("a seed is given twice in seeds")
-        return self
 
     @model_validator(mode="after")
     def _people_take_the_actions(self) -> "TrainingSuite":
@@ -277,26 +263,12 @@ class TrainingSuite(FrozenModel):
         """Seed of the first episode of simulated drivers, beyond those of the stages."""
         return self.first_episode_seed + EPISODES_OF_A_SEED - 2**27
 
-    @property
-    def by_seed(self) -> dict[str, "TrainingSuite"]:
-        """The suite of each seed, by its folder in the run folder."""
-        if not self.seeds:
-            return {"": self}
-        return {
-            f"seed-{seed}": self.model_copy(update={"seed": seed, "seeds": ()})
-            for seed in self.seeds
-        }
-
     def styles_of(self, stage: Stage) -> dict[str, tuple[float, ...]]:
         """What a network is given of each of its styles, if it drives in several."""
         return {
             name: style_numbers(self.weights[style.weights], style.angle_rad)
             for name, style in stage.styles.items()
         }
-
-    def hyperparameters_of(self, stage: Stage) -> Hyperparameters:
-        """The hyperparameters of a stage."""
-        return self.hyperparameters if stage.variant is None else self.variants[stage.variant]
 
     @property
     def human_stages(self) -> dict[str, HumanStage]:

@@ -124,7 +124,7 @@ class _Life:
                     self.logger.add_scalar(f"charms/{name}", value, at)
             words = point.in_words
         self.reported += len(points)
-        self.tell(self.job.title, self.learner.done, self.job.total, words)
+        self.tell(self.job.name, self.learner.done, self.job.total, words)
 
     def _save(self) -> None:
         now, used_s = time.monotonic(), time.process_time()

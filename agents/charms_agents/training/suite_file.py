@@ -28,17 +28,15 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
     document = Document(path)
     _resolve_likeness(document)
     if seed is not None:
-        document.data |= {"seed": seed, "seeds": []}
+        document.data["seed"] = seed
     stages = document.data.get("stages")
     for stage in stages.values() if steps is not None and isinstance(stages, dict) else ():
         if isinstance(stage, dict):  # anything else is rejected below
             stage["steps"] = steps
     suite, placed = document.validate(TrainingSuite), set[str]()
+    h = suite.hyperparameters
     for name, stage in suite.stages.items():
         at = ("stages", name)
-        if stage.variant is not None:
-            _check_name(document, (*at, "variant"), "variant", stage.variant, suite.variants)
-        h = suite.hyperparameters_of(stage)
         counts = [(stage.steps, (*at, "steps")), (suite.curve_steps, ("curve_steps",))]
         for steps, where in counts:
             if steps % h.scenes:
@@ -142,12 +140,12 @@ def _check_conditions(
 def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:
     """Rejects a stage whose prior cannot regularise it."""
     stage = suite.stages[name]
-    at, h = ("stages", name, "prior"), suite.hyperparameters_of(stage)
+    at, h = ("stages", name, "prior"), suite.hyperparameters
     _check_name(document, at, "stage", str(stage.prior), suite.human_stages, " under human.stages")
     prior = suite.human_stages[str(stage.prior)]
     if not h.prior_weight or not h.standardised:
         raise document.error(at, "needs hyperparameters with a prior_weight, and standardised")
-    layers = prior.hidden_layers or suite.hyperparameters.hidden_layers
+    layers = prior.hidden_layers or h.hidden_layers
     if len(layers) != len(h.hidden_layers):
         what = f"has {len(layers)} hidden layers; expected as many as the stage has"
         raise document.error(at, f"{what}, {len(h.hidden_layers)}")

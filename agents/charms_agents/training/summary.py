@@ -77,7 +77,7 @@ def write_summary(output: Path, jobs: Iterable[Job]) -> None:
 
 def _row(job: Job) -> dict[str, Any]:
     made = json.loads(job.file(".json").read_text(encoding="utf-8"))
-    row = {"stage": job.title, "wall_s": made["wall_s"], "cpu_s": made.get("cpu_s")}
+    row = {"stage": job.name, "wall_s": made["wall_s"], "cpu_s": made.get("cpu_s")}
     if "supervised" in made:
         names, points = ("agreement", "log_likelihood"), (("_before", "before"), ("", "after"))
         measured = {f"{name}{end}": made[when][name] for name in names for end, when in points}
@@ -99,8 +99,7 @@ def write_curves(output: Path, suite: TrainingSuite, jobs: Mapping[str, Job]) ->
     stages among other stages' networks, and one for the losses of learning from human driving.
     """
     tables = {
-        title: pl.read_csv(job.file(".csv"), infer_schema_length=None)
-        for title, job in jobs.items()
+        name: pl.read_csv(job.file(".csv"), infer_schema_length=None) for name, job in jobs.items()
     }
     long = pl.concat(
         [table.select(pl.lit(name).alias("stage"), pl.all()) for name, table in tables.items()],
@@ -112,8 +111,8 @@ def write_curves(output: Path, suite: TrainingSuite, jobs: Mapping[str, Job]) ->
         return
     write_bytes(csv, text.encode())
     titled: dict[str, dict[str, pl.DataFrame]] = {}
-    for title, table in tables.items():
-        titled.setdefault(_title(jobs[title].name, suite), {})[title] = table
+    for name, table in tables.items():
+        titled.setdefault(_title(name, suite), {})[name] = table
     save(_figure({title: titled[title] for title in sorted(titled)}), png)
 
 

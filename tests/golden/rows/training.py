@@ -67,7 +67,7 @@ def trained_here(suite_name: str, name: str, folder: Path) -> str:
         each: SimpleNamespace(file=partial(network_of, networks, suite_name, each))
         for each in suite.names
     }
-    job = _make_job(folder, path.parent, {"": suite}, samples, name, finished)
+    job = _make_job(folder, path.parent, suite, samples, name, finished)
     train_stage(job, "", lambda *told: None, lambda: False)
     return hashlib.sha256(job.file(".onnx").read_bytes()).hexdigest()
 
