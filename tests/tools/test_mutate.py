@@ -196,7 +196,7 @@ def test_a_test_that_does_not_end_notices_the_fault(checkout: Path, tmp_path: Pa
         "from charms_bench.toy.speeds import slower\n\n\n"
         "def test_speeds():\n    while slower(1, 2) == 2:\n        pass\n"
     )
-    runner = mutate.Runner(mutate.copied(checkout, checkout, tmp_path), [], {})
+    runner = mutate.Runner(mutate.copied(checkout, tmp_path), [], {})
     (slower,) = (each for each in source_mutations(checkout, ["charms_bench"]) if each.line == 2)
     assert runner.mutated(slower, ["tests/toy"], 3.0).verdict == "timed out"
 
