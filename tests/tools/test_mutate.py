@@ -2,22 +2,17 @@
 
 import ast
 import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mutate
 import pytest
+from mutation.draw import drawn, mutations, source_mutations
+from mutation.first import pytest_collection_modifyitems
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
-import mutate  # noqa: E402
-from mutation.draw import drawn, mutations, source_mutations  # noqa: E402
-from mutation.first import pytest_collection_modifyitems  # noqa: E402
-
-sys.path.remove(str(ROOT / "tools"))
-
 CHANGES = [
     ("tie_rule", "return a < b", {"return a <= b"}),
     ("tie_rule", "return a < 0.5", set()),
