@@ -442,17 +442,6 @@ def test_a_style_that_cannot_be_read_is_named(suite_file: Path) -> None:
     assert "error: matplotlibrc: matplotlib cannot read this file" in ran.stderr
 
 
-def test_a_reader_that_leaves_early_is_no_error() -> None:
-    listing = subprocess.run(
-        f"{sys.executable} -m charms_bench agents | head -1",
-        shell=True,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert "Traceback" not in listing.stderr
-
-
 def test_an_export_does_not_overwrite_its_checkpoint(tmp_path: Path) -> None:
     (tmp_path / "policy.onnx").write_bytes(b"a checkpoint")
     result = charms_bench("export", "policy.onnx", "./policy.onnx", cwd=tmp_path)
@@ -491,7 +480,7 @@ def test_numbas_file_in_the_current_folder_is_named(copied_run: Path) -> None:
     assert answer.stderr.startswith("error: .numba_config.yaml: numba would read this file")
 
 
-def test_no_width_hides_a_table(copied_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_width_hides_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal.out.cache_clear()
     monkeypatch.setenv("COLUMNS", "0")
     assert terminal.out().width == 120
