@@ -52,12 +52,8 @@ def test_a_number_has_its_interval_and_the_papers_value() -> None:
         ("other", "mixed", "paper-2", "speed_mean", None, None, None, 0, None),
         ("other", "mixed", "standard-5", "crashed_episodes", 0.0, None, None, 100, None),
     ]
-    suite = {
-        "suite": "s",
-        "episodes": 1,
-        "egos": [{"agent": "a"}],
-        "traffic_models": [{"traffic": "t"}],
-    }
+    suite = {"suite": "s", "episodes": 1}
+    suite |= {"egos": [{"agent": "a"}], "traffic_models": [{"traffic": "t"}]}
     long = pl.DataFrame(rows, schema=long_schema(KEYS, LONG), orient="row")
     table = from_frame(long, Suite.model_validate(suite))
     columns = {name: EGO[name] for name in ("episodes crashed", "speed, m/s")}
