@@ -53,10 +53,7 @@ def compare(
     """Every metric of every pair, first minus second, one metric per row.
 
     The pairs are from `runs.pairing.pairs_of`, and the seed is that of the resamples. `only` names
-    metrics, in every set that has them; none means all.
-
-    Raises:
-        InputError: There is no metric of such a name.
+    metrics, in every set that has them; none means all. An `InputError` if there is no such metric.
     """
     every = [(each.label, metric) for each in metric_sets for metric in each.metrics]
     known = {metric.name: metric for _, metric in every}

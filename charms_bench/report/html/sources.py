@@ -52,8 +52,7 @@ class TableFolder(Source):
 def open_sources(paths: Sequence[Path]) -> list[Source]:
     """The run folders, in this order.
 
-    Raises:
-        RunFolderError: One is not a run folder, is not finished, is damaged, or is given twice.
+    A `RunFolderError` if one is no run folder, is not finished, is damaged, or is given twice.
     """
     sources: list[Source] = []
     for path in map(absolute, paths):
