@@ -7,16 +7,8 @@ from typing import Annotated, Any, Literal
 import typer
 
 import charms_bench
+from charms_bench.cli import arguments
 from charms_bench.cli.terminal import (
-    DATA,
-    EgoLabel,
-    FigurePath,
-    Json,
-    Recordings,
-    RoadLabel,
-    RunPath,
-    SuiteFolder,
-    TrafficLabel,
     app,
     end_with_json,
     err,
@@ -31,8 +23,12 @@ from charms_bench.foundation.files import absolute, write_bytes
 from charms_bench.foundation.words import counted
 
 
-@app.command(rich_help_panel=DATA)
-def data(recordings: Recordings, figure: FigurePath = None, as_json: Json = False) -> None:
+@app.command(rich_help_panel=arguments.DATA)
+def data(
+    recordings: arguments.Recordings,
+    figure: arguments.FigurePath = None,
+    as_json: arguments.Json = False,
+) -> None:
     """Summarise recordings of human driving."""
     from charms_bench.foundation.progress import progress
     from charms_bench.people.survey import OFF_CENTRE_M, survey
@@ -146,15 +142,15 @@ def _print_learnable(name: str, found: Any) -> None:
     print_records(reason, rejected, {"decisions": ",.0f"})
 
 
-@app.command(rich_help_panel=DATA)
+@app.command(rich_help_panel=arguments.DATA)
 def calibrate(
-    recordings: Recordings,
+    recordings: arguments.Recordings,
     to: Path | None = typer.Option(
         None,
         help="New file NAME.json for the population, from which the agent human draws drivers.",
     ),
-    figure: FigurePath = None,
-    as_json: Json = False,
+    figure: arguments.FigurePath = None,
+    as_json: arguments.Json = False,
 ) -> None:
     """Fit drivers to recordings, and predict held-out drivers."""
     from charms_bench.foundation.progress import note
@@ -210,7 +206,7 @@ def calibrate(
         say(f"Written: {shown(absolute(path))}")
 
 
-@app.command(rich_help_panel=DATA)
+@app.command(rich_help_panel=arguments.DATA)
 def likeness(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
     recordings: Annotated[
@@ -237,8 +233,8 @@ def likeness(
         help="Also score drivers with known faults, such as copied accelerations, to see what "
         "the score tells apart on these recordings.",
     ),
-    figure: FigurePath = None,
-    as_json: Json = False,
+    figure: arguments.FigurePath = None,
+    as_json: arguments.Json = False,
 ) -> None:
     """Score how much egos and traffic drive like recorded drivers."""
     from charms_bench.foundation.progress import note
@@ -289,26 +285,26 @@ def likeness(
         say(f"Figure: {shown(figure)}")
 
 
-@app.command(rich_help_panel=DATA)
+@app.command(rich_help_panel=arguments.DATA)
 def dataset(
-    run: RunPath,
+    run: arguments.RunPath,
     kind: Literal["minari", "highd", "parquet"] = typer.Option(
         ...,
         "--format",
         help="minari: observations, actions and rewards of the ego. highd: trajectories of all "
         "vehicles in highD's format. parquet: their states at every simulation step.",
     ),
-    ego: EgoLabel = None,
-    road: RoadLabel = None,
-    traffic: TrafficLabel = None,
+    ego: arguments.EgoLabel = None,
+    road: arguments.RoadLabel = None,
+    traffic: arguments.TrafficLabel = None,
     episodes: int | None = typer.Option(
         None, min=1, help="Number of episodes, from the first; the default is all."
     ),
     output: Path | None = typer.Option(
         None, help="New folder; the default is one in the run folder."
     ),
-    suite_folder: SuiteFolder = Path(),
-    as_json: Json = False,
+    suite_folder: arguments.SuiteFolder = Path(),
+    as_json: arguments.Json = False,
 ) -> None:
     """Write the episodes of a run as a dataset for other tools."""
     opened = charms_bench.open_run(run, suite_folder)
