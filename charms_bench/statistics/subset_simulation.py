@@ -196,7 +196,7 @@ def _start(points: _Points, threshold: float, chains: int, rng: np.random.Genera
     order = np.where(below, rng.random(below.shape), 2.0).argsort(axis=1)
     places = np.arange(chains) % below.sum(axis=1)[:, None]
     at = reached[:, None], np.take_along_axis(order, places, axis=1)
-    return _Points(*(each[at] for each in points))
+    return _Points(points.normal[at], points.seeds[at], points.levels[at])
 
 
 def _grow(
