@@ -20,17 +20,7 @@ from typer.cli import get_docs_for_click
 
 from charms_bench.cli import app
 from charms_bench.cli.terminal import EXITS
-from charms_bench.maps.road_file import (
-    CircularFileLane,
-    FileConflict,
-    FileGap,
-    FileRoad,
-    FileSignal,
-    PolylineLane,
-    RoadFile,
-    SineFileLane,
-    StraightFileLane,
-)
+from charms_bench.maps import road_file
 from charms_bench.metrics import METRIC_SETS, ROADS, SCENARIOS, Metric
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
@@ -67,15 +57,15 @@ SUITE_KEYS: dict[str, type[BaseModel]] = {
 }
 """The models of a suite, each by the key under which it stands in YAML."""
 ROAD_KEYS: dict[str, type[BaseModel]] = {
-    "file": RoadFile,
-    "road": FileRoad,
-    "straight lane": StraightFileLane,
-    "sine lane": SineFileLane,
-    "circular lane": CircularFileLane,
-    "polyline lane": PolylineLane,
-    "conflict": FileConflict,
-    "signal": FileSignal,
-    "gap": FileGap,
+    "file": road_file.RoadFile,
+    "road": road_file.FileRoad,
+    "straight lane": road_file.StraightFileLane,
+    "sine lane": road_file.SineFileLane,
+    "circular lane": road_file.CircularFileLane,
+    "polyline lane": road_file.PolylineLane,
+    "conflict": road_file.FileConflict,
+    "signal": road_file.FileSignal,
+    "gap": road_file.FileGap,
 }
 """The models of a road file, each by what it describes."""
 NAMED = {"Profile": "[profile](#profiles)", "LatinHypercube": "`{latin_hypercube: N}`"}
@@ -201,7 +191,7 @@ def suite_keys() -> str:
     )
 
 
-def road_file() -> str:
+def road_keys() -> str:
     return sections(
         (key.capitalize(), f"{inspect.getdoc(model)}\n\n{keys_of(model)}")
         for key, model in ROAD_KEYS.items()
@@ -270,7 +260,7 @@ def commands() -> str:
 
 WRITERS: dict[str, Callable[[], str]] = {
     "suite-keys": suite_keys,
-    "road-file": road_file,
+    "road-file": road_keys,
     "profiles": profiles,
     "metrics": metrics,
     "columns": columns,

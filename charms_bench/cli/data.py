@@ -243,13 +243,7 @@ def likeness(
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.likeness import draw
     from charms_bench.report.likeness_table import basis_of, likeness_tables
-    from charms_bench.runs.likeness import (
-        drive_scenes,
-        likeness_in_scenes,
-        likeness_of_controls,
-        standard,
-    )
-    from charms_bench.runs.likeness import likeness as scored
+    from charms_bench.runs import likeness as scoring
     from charms_bench.runs.suite import load_suite
 
     read, files, basis = load_suite(suite), scenes_in(absolute(recordings)), ""
@@ -258,21 +252,22 @@ def likeness(
         raise InputError("CommonRoad scenarios: give no --population, --half or --controls")
     with interruptible():
         if files:
-            found = drive_scenes(read, files, note)
-            rows, basis = [*likeness_in_scenes(found)], basis_of(found)
+            found = scoring.drive_scenes(read, files, note)
+            rows, basis = [*scoring.likeness_in_scenes(found)], basis_of(found)
         elif population is None:
             raise InputError(
                 f"{recordings}: no CommonRoad scenario is there, and other recordings need "
                 "--population: i24, i75 or a file of `calibrate`"
             )
         else:
-            against = standard(read, absolute(recordings), read_population(population), half)
-            for each in scored(read, against):
+            fitted = read_population(population)
+            against = scoring.standard(read, absolute(recordings), fitted, half)
+            for each in scoring.likeness(read, against):
                 note(f"{each.kind} {each.label}")
                 rows.append(each)
             if controls:
                 note("controls")
-                of_controls = list(likeness_of_controls(read, against))
+                of_controls = list(scoring.likeness_of_controls(read, against))
     if figure is not None:
         save(draw(rows), figure)
     if as_json:
