@@ -61,8 +61,6 @@ NOT_RUN = {
         ),
         "tests/agents/test_trained_in_highway_env.py trains and exports such a network",
     ),
-    "charms-bench run ego --agent mine.onnx --agent NETWORKS/seed-3012/ppo.onnx "
-    "--agent NETWORKS/seed-3012/dqn.onnx": "it is not trained here",
 }
 """Commands that are not run here, with the reason."""
 SHORTENED = [
