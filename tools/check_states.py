@@ -71,8 +71,7 @@ def check(
 ) -> str:
     """Saves in one engine and continues in the other; says how many states and steps were compared.
 
-    Raises:
-        AssertionError: A continued scene differs from the one that was not interrupted.
+    An `AssertionError` if a continued scene differs from the one that was not interrupted.
     """
     scenes = max(2, min(100, states // 20))
     original = simulation(case, scenes, engines[0])

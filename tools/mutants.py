@@ -60,10 +60,10 @@ def taus(severity: Floats, ladders: Sequence[Sequence[int]]) -> Floats:
     return np.concatenate([each, each.mean(axis=-1, keepdims=True)], axis=-1)
 
 
-def resampled_means(values: Floats, resamples: int, rng: np.random.Generator) -> Floats:
-    """[R, ...] means of values [E, ...] over resampled episodes."""
+def resampled_means(values: Floats, rng: np.random.Generator) -> Floats:
+    """[2000, ...] means of values [E, ...] over resampled episodes."""
     size = len(values)
-    counts = rng.multinomial(size, np.full(size, 1 / size), size=resamples)
+    counts = rng.multinomial(size, np.full(size, 1 / size), size=2000)
     return np.tensordot(counts, values, axes=1) / size
 
 
@@ -163,7 +163,7 @@ def per_1000_km(driven: Driven, searched: Floats, rng: np.random.Generator) -> N
         share = means[..., 3] / np.maximum(means[..., 2], 1e-12)
         return np.asarray(share * means[..., 0] / means[..., 1])
 
-    low, high = np.quantile(rate(resampled_means(sums, 2000, rng)), [0.025, 0.975])
+    low, high = np.quantile(rate(resampled_means(sums, rng)), [0.025, 0.975])
     return Number(float(rate(sums.mean(axis=0))), low, high, len(sums))
 
 
@@ -195,9 +195,9 @@ def summary(
         rng = np.random.default_rng(731_550_000)
         severity, size = driven.severity, len(driven.severity)
         tau = taus(severity.mean(axis=0), places)
-        spread = taus(resampled_means(severity, 2000, rng), places)
+        spread = taus(resampled_means(severity, rng), places)
         early = taus(driven.from_the_start.mean(axis=0), places)
-        early_spread = taus(resampled_means(driven.from_the_start, 2000, rng), places)
+        early_spread = taus(resampled_means(driven.from_the_start, rng), places)
         needed = episodes_until_ordered(severity, places, rng)
         again = np.array(
             [

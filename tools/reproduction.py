@@ -49,13 +49,9 @@ BY_PAPER = " by the paper"
 def compared(released: Path, ours: Path) -> pl.DataFrame:
     """The results of a suite with the authors' networks and of the same suite with this project's.
 
-    Returns:
-        One row per agent, or per traffic if the suite varies the traffic, and metric: those that
-        the paper reports, and the proportion that crashed.
-
-    Raises:
-        ValueError: The two runs differ in more than the last decision, which only the authors' code
-            makes.
+    One row per agent, or per traffic if the suite varies the traffic, and metric: those that the
+    paper reports, and the proportion that crashed. A `ValueError` if the two runs differ in more
+    than the last decision, which only the authors' code makes.
     """
     suites = [RunFolder(run).suite() for run in (released, ours)]
     if suites[0].scene != _with_last_decision(suites[1].scene):
