@@ -289,7 +289,9 @@ class Table:
 
     def __str__(self) -> str:
         """The beginning of the table as text; `select` and `frame` give the rest."""
-        return views.text_of(self)
+        from charms_bench.report.terminal import beginning
+
+        return beginning(self)
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""
