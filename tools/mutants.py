@@ -94,14 +94,6 @@ def found(severity: Floats) -> Bools:
     return np.asarray(difference.mean(axis=0) / np.maximum(error, 1e-12) > FOUND)
 
 
-def cells_of(run: FinishedRun) -> dict[str, list[int]]:
-    """The places of the cells of each traffic model, by its title, in the order of the drivers."""
-    found: dict[str, list[int]] = {}
-    for place, each in enumerate(run.suite.cells):
-        found.setdefault(each.traffic.title, []).append(place)
-    return found
-
-
 def of_traffic(run: FinishedRun, cells: Sequence[int]) -> Driven:
     """What the drivers of some cells did; all have driven the same episodes."""
     return Driven(*np.stack([_of_cell(run, cell) for cell in cells], axis=-1))
@@ -237,18 +229,16 @@ def _table(records: Sequence[dict[str, Any]], keys: int) -> Table:
     return Table.plain(records, tuple(names[:keys]), forms)
 
 
-def titles_of(run: FinishedRun) -> tuple[list[str], dict[str, Sequence[int]]]:
-    """The drivers, and the places of those of each ladder of faults."""
-    egos = [ego.title for ego in run.suite.egos]
-    return egos, {
-        name: [0, *(k for k, ego in enumerate(egos) if ego.startswith(name))] for name in LADDERS
-    }
-
-
 def write(folder: Path) -> None:
     """Writes the tables and the severities."""
     run = open_finished(folder)
-    (egos, ladders), cells = titles_of(run), cells_of(run)
+    egos = [ego.title for ego in run.suite.egos]
+    ladders = {
+        name: [0, *(k for k, ego in enumerate(egos) if ego.startswith(name))] for name in LADDERS
+    }
+    cells: dict[str, list[int]] = {}
+    for place, each in enumerate(run.suite.cells):
+        cells.setdefault(each.traffic.title, []).append(place)
     traffics = {title: of_traffic(run, places) for title, places in cells.items()}
     searched = {title: avoidable(run, places) for title, places in cells.items()}
     rows: list[dict[str, Any]] = []

@@ -16,7 +16,6 @@ from charms_bench.report.number import Number
 from charms_bench.report.stored import stored_tables
 from charms_bench.report.table import Column, Table
 from charms_bench.runs.resumable_folder import RunFolder
-from charms_bench.world.scene import SceneSettings
 
 METRICS = {
     "collision_rate": "collision rate",
@@ -54,7 +53,9 @@ def compared(released: Path, ours: Path) -> pl.DataFrame:
     than the last decision, which only the authors' code makes.
     """
     suites = [RunFolder(run).suite() for run in (released, ours)]
-    if suites[0].scene != _with_last_decision(suites[1].scene):
+    # The authors' code has episodes of 61 decisions.
+    profile = suites[1].scene.profile.model_copy(update={"sums_time": True})
+    if suites[0].scene != suites[1].scene.model_copy(update={"profile": profile}):
         raise ValueError(f"{released} and {ours} have different scenes; run both suites again")
     varied = "agent" if len(suites[0].egos) > 1 else "traffic"
     crashed = {"agent": "crashed_episodes", "traffic": "traffic_crashed"}[varied]
@@ -75,12 +76,6 @@ def compared(released: Path, ours: Path) -> pl.DataFrame:
     return both.sort(
         pl.col(column).replace_strict(order, range(len(order))) for column, order in orders.items()
     )
-
-
-def _with_last_decision(scene: SceneSettings) -> SceneSettings:
-    """The scene, with episodes of 61 decisions as in the authors' code."""
-    profile = scene.profile.model_copy(update={"sums_time": True})
-    return scene.model_copy(update={"profile": profile})
 
 
 def with_verdicts(rows: pl.DataFrame) -> pl.DataFrame:
