@@ -25,7 +25,8 @@ import mutants
 import run_results as of_runs
 import suite_results as of_suites
 from rare_comparison import rare_comparison, rare_estimate
-from result_pages import RESULTS, ROOT, keep, refill
+from result_pages import ROOT, keep, refill
+from transfer import transfer
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "readme": ("ego", of_suites.readme),
@@ -34,7 +35,7 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "ego": ("ego", of_suites.ego),
     "edge-cases": ("ego", of_runs.edges),
     "styles": ("styles", partial(of_suites.of_suite, of_suites.STYLES)),
-    "transfer": ("transfer-traffics", of_suites.transfer),
+    "transfer": ("transfer-traffics", transfer),
     "environment": ("environment", partial(of_suites.of_suite, of_suites.ENVIRONMENT)),
     "environment-edge-cases": ("environment", partial(of_suites.rates, of_suites.EDGE_CASES)),
     "released-edge-cases": ("released-environment", partial(of_suites.rates, of_suites.EDGE_CASES)),
@@ -57,7 +58,6 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
 
 def suites(runs: Path) -> None:
     """Writes the tables of `TABLES`."""
-    RESULTS.mkdir(exist_ok=True)
     for name, (folder, make) in TABLES.items():
         text = make(runs / folder) if (runs / folder).is_dir() else ""
         if text:
