@@ -183,19 +183,10 @@ def keys_of(model: type[BaseModel]) -> str:
     return table(("key", "value", "default", "meaning"), rows)
 
 
-def suite_keys() -> str:
-    headings = {key: f"`{key}`" for key in SUITE_KEYS} | {"a distribution": "A distribution"}
-    return sections(
-        (headings[key], f"{inspect.getdoc(model)}\n\n{keys_of(model)}")
-        for key, model in SUITE_KEYS.items()
-    )
-
-
-def road_keys() -> str:
-    return sections(
-        (key.capitalize(), f"{inspect.getdoc(model)}\n\n{keys_of(model)}")
-        for key, model in ROAD_KEYS.items()
-    )
+def described(models: dict[str, type[BaseModel]], headings: Iterable[str]) -> str:
+    """What each model is, and its keys, under its heading."""
+    texts = (f"{inspect.getdoc(model)}\n\n{keys_of(model)}" for model in models.values())
+    return sections(zip(headings, texts, strict=True))
 
 
 def profiles() -> str:
@@ -259,8 +250,10 @@ def commands() -> str:
 
 
 WRITERS: dict[str, Callable[[], str]] = {
-    "suite-keys": suite_keys,
-    "road-file": road_keys,
+    "suite-keys": lambda: described(
+        SUITE_KEYS, (f"`{key}`" if " " not in key else key.capitalize() for key in SUITE_KEYS)
+    ),
+    "road-file": lambda: described(ROAD_KEYS, map(str.capitalize, ROAD_KEYS)),
     "profiles": profiles,
     "metrics": metrics,
     "columns": columns,
