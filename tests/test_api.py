@@ -36,19 +36,6 @@ def run(suite_file: Path) -> charms_bench.Run:
     return charms_bench.run(suite_file, suite_file.parent / "run", workers=1)
 
 
-def test_importing_the_package_imports_nothing_heavy() -> None:
-    code = "import sys, charms_bench; charms_bench.CharmsBenchError; print(*sys.modules)"
-    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert not {"numba", "numpy", "polars", "pydantic"} & set(finished.stdout.split())
-
-
-def test_every_public_name_resolves() -> None:
-    for name in charms_bench.__all__:
-        assert getattr(charms_bench, name) is not None
-    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
-        charms_bench.nothing  # noqa: B018  # raises
-
-
 def test_rows_of_all_cells_carry_the_labels_of_their_cell(run: charms_bench.Run) -> None:
     counted = run.episodes.group_by("agent", "traffic").len().sort("agent").rows()
     assert counted == [("IDM", "idm_mobil", 6), ("Stackelberg", "idm_mobil", 6)]
@@ -80,8 +67,6 @@ def test_the_mean_speed_of_a_table_is_that_of_the_rows(run: charms_bench.Run) ->
 def test_two_agents_are_compared_metric_by_metric(run: charms_bench.Run) -> None:
     table = run.compare(egos=("IDM", "Stackelberg"), metrics=["speed_mean"])
     assert [row.labels[:2] for row in table.rows] == [("IDM", "Stackelberg")] * 2
-    with pytest.raises(InputError, match="no metric named 'sped'"):
-        run.compare(egos=("IDM", "Stackelberg"), metrics=["sped"])
 
 
 def test_other_thresholds_need_no_simulation(suite_file: Path, tmp_path: Path) -> None:

@@ -1,14 +1,13 @@
 """Whatever the Python interface returns prints as a few lines."""
 
+import re
 from collections.abc import Callable
-from html.parser import HTMLParser
 
 import pytest
 
 import charms_bench
 from charms_bench.api import Run
 from charms_bench.envs.ego_env import EgoEnv
-from charms_bench.errors import InputError
 
 SUITE = """
 suite: printed
@@ -68,28 +67,11 @@ def test_a_table_says_what_it_leaves_out(run: Run) -> None:
     assert "more" not in str(run.table.select("speed_mean"))
 
 
-def test_a_word_of_a_metrics_name_suggests_the_metric(run: Run) -> None:
-    with pytest.raises(InputError, match="Did you mean 'speed_mean'"):
-        run.table.select("speed")
-
-
-class Frames(HTMLParser):
-    """Counts the tags of a piece of HTML."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-
-
 def test_notebooks_show_bars_and_players(run: Run) -> None:
-    shown = Frames(run.table.select("speed_mean")._repr_html_()).tags
-    assert shown.count("em") == 2 * 2  # a bar: two egos, two metric sets
+    shown = run.table.select("speed_mean")._repr_html_()
+    assert shown.count("<em ") == 2 * 2  # a bar: two egos, two metric sets
     for result in (run.replay(0, "A"), run.what_if(0, 2, "idm_mobil", ego="A")):
-        assert Frames(result._repr_html_()).tags == ["iframe"]
+        assert re.findall(r"<(\w+)", result._repr_html_()) == ["iframe"]
 
 
 def test_the_packaged_references_say_what_they_are() -> None:

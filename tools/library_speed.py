@@ -25,23 +25,20 @@ def measure(script: str) -> None:
     """Runs a script in this process, and prints its speed."""
     from charms_bench.envs.vector_env import HighwayVectorEnv
 
-    step, decisions, inside, moments = HighwayVectorEnv.step, 0, 0.0, []
+    step, calls = HighwayVectorEnv.step, list[tuple[float, float, int]]()
 
-    def counted(self: HighwayVectorEnv[Any], actions: Any) -> Any:
-        nonlocal decisions, inside
+    def timed(self: HighwayVectorEnv[Any], actions: Any) -> Any:
         before = time.process_time()
         result = step(self, actions)
-        moments[1:] = [time.process_time()]
-        if len(moments) == 1:
-            moments.append(moments[0])
-            return result
-        decisions += self.num_envs
-        inside += moments[1] - before
+        calls.append((before, time.process_time(), self.num_envs))
         return result
 
-    HighwayVectorEnv.step = counted  # type: ignore[method-assign]
+    HighwayVectorEnv.step = timed  # type: ignore[method-assign]
     runpy.run_path(script)
-    seconds = moments[1] - moments[0]
+    (_, began, _), *later = calls
+    seconds = later[-1][1] - began
+    inside = sum(after - before for before, after, _ in later)
+    decisions = sum(number for *_, number in later)
     print(f"{decisions / seconds:,.0f} decisions per second, {inside / seconds:.0%} in the steps")
 
 

@@ -60,10 +60,10 @@ def taus(severity: Floats, ladders: Sequence[Sequence[int]]) -> Floats:
     return np.concatenate([each, each.mean(axis=-1, keepdims=True)], axis=-1)
 
 
-def resampled_means(values: Floats, resamples: int, rng: np.random.Generator) -> Floats:
-    """[R, ...] means of values [E, ...] over resampled episodes."""
+def resampled_means(values: Floats, rng: np.random.Generator) -> Floats:
+    """[2000, ...] means of values [E, ...] over resampled episodes."""
     size = len(values)
-    counts = rng.multinomial(size, np.full(size, 1 / size), size=resamples)
+    counts = rng.multinomial(size, np.full(size, 1 / size), size=2000)
     return np.tensordot(counts, values, axes=1) / size
 
 
@@ -92,14 +92,6 @@ def found(severity: Floats) -> Bools:
     difference = severity[:, 1:] - severity[:, :1]
     error = difference.std(axis=0, ddof=1) / np.sqrt(len(difference))
     return np.asarray(difference.mean(axis=0) / np.maximum(error, 1e-12) > FOUND)
-
-
-def cells_of(run: FinishedRun) -> dict[str, list[int]]:
-    """The places of the cells of each traffic model, by its title, in the order of the drivers."""
-    found: dict[str, list[int]] = {}
-    for place, each in enumerate(run.suite.cells):
-        found.setdefault(each.traffic.title, []).append(place)
-    return found
 
 
 def of_traffic(run: FinishedRun, cells: Sequence[int]) -> Driven:
@@ -163,7 +155,7 @@ def per_1000_km(driven: Driven, searched: Floats, rng: np.random.Generator) -> N
         share = means[..., 3] / np.maximum(means[..., 2], 1e-12)
         return np.asarray(share * means[..., 0] / means[..., 1])
 
-    low, high = np.quantile(rate(resampled_means(sums, 2000, rng)), [0.025, 0.975])
+    low, high = np.quantile(rate(resampled_means(sums, rng)), [0.025, 0.975])
     return Number(float(rate(sums.mean(axis=0))), low, high, len(sums))
 
 
@@ -195,9 +187,9 @@ def summary(
         rng = np.random.default_rng(731_550_000)
         severity, size = driven.severity, len(driven.severity)
         tau = taus(severity.mean(axis=0), places)
-        spread = taus(resampled_means(severity, 2000, rng), places)
+        spread = taus(resampled_means(severity, rng), places)
         early = taus(driven.from_the_start.mean(axis=0), places)
-        early_spread = taus(resampled_means(driven.from_the_start, 2000, rng), places)
+        early_spread = taus(resampled_means(driven.from_the_start, rng), places)
         needed = episodes_until_ordered(severity, places, rng)
         again = np.array(
             [
@@ -237,18 +229,16 @@ def _table(records: Sequence[dict[str, Any]], keys: int) -> Table:
     return Table.plain(records, tuple(names[:keys]), forms)
 
 
-def titles_of(run: FinishedRun) -> tuple[list[str], dict[str, Sequence[int]]]:
-    """The drivers, and the places of those of each ladder of faults."""
-    egos = [ego.title for ego in run.suite.egos]
-    return egos, {
-        name: [0, *(k for k, ego in enumerate(egos) if ego.startswith(name))] for name in LADDERS
-    }
-
-
 def write(folder: Path) -> None:
     """Writes the tables and the severities."""
     run = open_finished(folder)
-    (egos, ladders), cells = titles_of(run), cells_of(run)
+    egos = [ego.title for ego in run.suite.egos]
+    ladders = {
+        name: [0, *(k for k, ego in enumerate(egos) if ego.startswith(name))] for name in LADDERS
+    }
+    cells: dict[str, list[int]] = {}
+    for place, each in enumerate(run.suite.cells):
+        cells.setdefault(each.traffic.title, []).append(place)
     traffics = {title: of_traffic(run, places) for title, places in cells.items()}
     searched = {title: avoidable(run, places) for title, places in cells.items()}
     rows: list[dict[str, Any]] = []

@@ -2,8 +2,7 @@
 
 It draws small changes of the source code, applies each to a copy of the checkout, and runs tests
 there. `kernels` are changes of compiled code, and tests/golden has to notice them; `rest` are all
-others, which the tests of their own room have to notice. `--tests CHECKOUT` takes the tests and the
-settings of pytest from another checkout, to compare two sets of tests.
+others, which the tests of their own room have to notice.
 
 FOLDER keeps the copies and `results.jsonl`. Mutations that have a result for the same code and
 tests do not run again. Those in tools/mutation/equivalent.txt, which nothing can notice, never run.
@@ -52,34 +51,28 @@ class Ran(NamedTuple):
 
 
 def files(checkout: Path) -> Iterator[str]:
-    """The files of a checkout that git does not ignore."""
+    """The files of a checkout that git does not ignore, in order."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     listed = subprocess.run(command, cwd=checkout, check=True, capture_output=True, text=True)
     names = sorted(set(listed.stdout.split("\0")[:-1]))
     return (name for name in names if (checkout / name).is_file())
 
 
-def copied(source: Path, tests: Path, folder: Path) -> Path:
-    """A copy of a checkout with the tests of another, and the folder of its compiled code."""
-    taken = [(source, name) for name in files(source) if not _is_of_tests(name)]
-    taken += [(tests, name) for name in files(tests) if _is_of_tests(name)]
-    digest = sha256()
-    for checkout, name in taken:
-        digest.update(name.encode() + sha256((checkout / name).read_bytes()).digest())
+def copied(source: Path, folder: Path) -> Path:
+    """A copy of a checkout, and the folder of its compiled code."""
+    digest, taken = sha256(), list(files(source))
+    for name in taken:
+        digest.update(name.encode() + sha256((source / name).read_bytes()).digest())
     base = folder / digest.hexdigest()[:12]
     if not base.exists():
         unfinished = Path(tempfile.mkdtemp(dir=folder))
         (unfinished / "cache").mkdir()
-        for checkout, name in taken:
+        for name in taken:
             path = unfinished / "checkout" / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(checkout / name, path)
+            shutil.copy2(source / name, path)
         unfinished.rename(base)
     return base
-
-
-def _is_of_tests(name: str) -> bool:
-    return name == "pyproject.toml" or name.startswith("tests/")
 
 
 def tests_of(path: str, checkout: Path) -> list[str]:
@@ -194,7 +187,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("which", choices=("kernels", "rest"))
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--source", type=Path, default=TOOLS.parent, metavar="CHECKOUT")
-    parser.add_argument("--tests", type=Path, metavar="CHECKOUT")
     parser.add_argument("--against", nargs="+", metavar="TEST", help="tests in place of the usual")
     parser.add_argument("--under", nargs="+", default=[""], metavar="PATH", help="modules")
     parser.add_argument("--count", type=int, default=60)
@@ -215,7 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error("--folder is missing")
     folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    base = copied(options.source.resolve(), (options.tests or options.source).resolve(), folder)
+    base = copied(options.source.resolve(), folder)
     # Kernels compile a little faster so, and have the same bits; at 0, numba cannot keep them.
     variables = {"NUMBA_OPT": "1"} if options.which == "kernels" else {}
     runner = Runner(base, ["-m", "not slow", *options.pytest], variables)

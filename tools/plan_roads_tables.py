@@ -11,17 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import plan_roads as plan
 import polars as pl
-from plan_roads import (
-    CHARMS,
-    EXIT,
-    MERGE,
-    OF_STYLES,
-    ROUNDABOUT,
-    TESTS,
-    VALIDATION,
-    seeds_of,
-)
 from result_pages import RESULTS, ROOT, keep, refill
 from scipy import stats
 from seeds import OVER, SEED, Columns, mean_of, summary
@@ -34,7 +25,7 @@ from charms_bench.runs.finished_run import open_finished
 from charms_bench.statistics.paired import holm
 
 LIMITS = {  # goal reached, at fault
-    MERGE: (0.98, 0.005), EXIT: (0.95, 0.01), ROUNDABOUT: (0.92, 0.02),
+    plan.MERGE: (0.98, 0.005), plan.EXIT: (0.95, 0.01), plan.ROUNDABOUT: (0.92, 0.02),
     "intersection-v1": (0.92, 0.02),
 }  # fmt: skip
 COLUMNS: Columns = {
@@ -131,7 +122,7 @@ def limits(values: pl.DataFrame) -> str:
             ("time_s", human_s, -1),
         ):
             header, form, worst = COLUMNS[column]
-            each = cell.filter(ego=CHARMS)[column].to_numpy()
+            each = cell.filter(ego=plan.CHARMS)[column].to_numpy()
             mean = mean_of(each, 0.0, 1.0 if form.endswith("%") else np.inf)
             ends = f" [{mean.low:{form}}, {mean.high:{form}}]" if mean.low is not None else ""
             record = {"road": road, "traffic": traffic, "quantity": header}
@@ -148,7 +139,7 @@ def limits(values: pl.DataFrame) -> str:
 def selected(values: pl.DataFrame) -> pl.DataFrame:
     """The seeds by the rule of selection, the first of which becomes CHARMS."""
     human = values.filter(ego="Human").select("road", "traffic", human_s="time_s")
-    charms = values.filter(ego=CHARMS).join(human, on=["road", "traffic"])
+    charms = values.filter(ego=plan.CHARMS).join(human, on=["road", "traffic"])
     goal, fault = (
         pl.col("road").replace_strict({road: each[k] for road, each in LIMITS.items()})
         for k in (0, 1)
@@ -166,7 +157,7 @@ def selected(values: pl.DataFrame) -> pl.DataFrame:
 def trained(networks: Path) -> pl.DataFrame:
     """Each network of the plan, with its hash and CPU minutes."""
     records = []
-    for seed in seeds_of(networks):
+    for seed in plan.seeds_of(networks):
         for path in sorted((networks / str(seed) / "networks").glob("*.json")):
             manifest = json.loads(path.read_text(encoding="utf-8"))
             minutes = round(manifest["cpu_s"] / 60, 2)
@@ -178,19 +169,19 @@ def trained(networks: Path) -> pl.DataFrame:
 def tables(networks: Path, runs: Path) -> None:
     """Writes the tables of the plan and the CSV files beside them."""
     kept("plan-roads-trainings", trained(networks), "network")
-    driven = [values for test in TESTS if len(values := values_of(runs, test))]
+    driven = [values for test in plan.TESTS if len(values := values_of(runs, test))]
     every = pl.concat(driven).with_columns(pl.selectors.float().round_sig_figs(4))
     found = dict(kept("plan-roads-values", every, "test").partition_by("test", as_dict=True))
     found = {test: values for (test,), values in found.items()}
-    of_validation = [found.pop(test) for test in VALIDATION if test in found]
-    if len(of_validation) == len(VALIDATION):
+    of_validation = [found.pop(test) for test in plan.VALIDATION if test in found]
+    if len(of_validation) == len(plan.VALIDATION):
         seeds = selected(pl.concat(of_validation)).with_columns(pl.col("seed").cast(str))
         forms = {"limits_met": ".0f"} | {name: COLUMNS[name][1] for name in seeds.columns[2:]}
         keep("plan-roads-selection", markdown(Table.plain(seeds.to_dicts(), ("seed",), forms)))
     if found.keys() >= {"people", "own"}:
         keep("plan-roads-limits", limits(pl.concat((found["people"], found["own"]))))
-    if OF_STYLES in found:
-        of_seeds = found[OF_STYLES].drop_nulls("seed")
+    if plan.OF_STYLES in found:
+        of_seeds = found[plan.OF_STYLES].drop_nulls("seed")
         keep("plan-roads-statements", statements(of_seeds))
     if found:
         columns = ("road", "traffic", "ego", OVER)

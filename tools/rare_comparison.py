@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from result_pages import RESULTS, ROOT, keep
 
 from charms_bench import rare
 from charms_bench.engine.events import lowest_levels
@@ -32,14 +33,8 @@ from charms_bench.runs.shard import engine_on
 from charms_bench.runs.suite import Suite, load_suite
 from charms_bench.statistics.intervals import wilson
 
-ROOT = Path(__file__).parents[1]
-PLAIN = ROOT / "docs" / "results" / "rare-plain.csv"
+PLAIN = RESULTS / "rare-plain.csv"
 COUNTED = {"suite": pl.String, "event": pl.String, "episodes": pl.Int64, "happened": pl.Int64}
-INTERVALS = ROOT / "docs" / "results" / "rare-intervals.md"
-HEAD = """\
-| suite | event | in plain episodes | mean estimate | episodes each | high / low | intervals |
-|---|---|---:|---:|---:|---:|---:|
-"""
 AT_ONCE = 1000
 OTHERS = {"rare-50-runs": "`--runs 50`", "rare-small": "`--runs 50 --samples 200`"}
 """Other run folders of the suite, and the options that made them."""
@@ -115,7 +110,10 @@ def compare(path: Path, event: str, episodes: int, estimates: int) -> None:
         made.append(row.numbers[0])
         print(f"seed {seed}: {made[-1]}", flush=True)
     if made:
-        keep_line(f"| {name} | `{event}` |", intervals(plain, made))
+        key = f"| {name} | `{event}` |"
+        lines = (RESULTS / "rare-intervals.md").read_text(encoding="utf-8").splitlines()
+        kept = [line for line in lines if not line.startswith(key)]
+        keep("rare-intervals", "\n".join([*kept, key + intervals(plain, made)]) + "\n")
 
 
 def intervals(plain: Number, made: Sequence[Number]) -> str:
@@ -128,13 +126,6 @@ def intervals(plain: Number, made: Sequence[Number]) -> str:
         f"{np.mean([each.n for each in made]):,.0f} | {np.median(high / low):.1f} | "
         f"{held} of {len(made)} |"
     )
-
-
-def keep_line(key: str, rest: str) -> None:
-    """Writes a line of the table of intervals in the place of the one with the same beginning."""
-    lines = INTERVALS.read_text(encoding="utf-8") if INTERVALS.exists() else HEAD
-    kept = [line for line in lines.splitlines() if not line.startswith(key)]
-    INTERVALS.write_text("\n".join([*kept, key + rest]) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

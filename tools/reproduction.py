@@ -16,7 +16,6 @@ from charms_bench.report.number import Number
 from charms_bench.report.stored import stored_tables
 from charms_bench.report.table import Column, Table
 from charms_bench.runs.resumable_folder import RunFolder
-from charms_bench.world.scene import SceneSettings
 
 METRICS = {
     "collision_rate": "collision rate",
@@ -49,16 +48,14 @@ BY_PAPER = " by the paper"
 def compared(released: Path, ours: Path) -> pl.DataFrame:
     """The results of a suite with the authors' networks and of the same suite with this project's.
 
-    Returns:
-        One row per agent, or per traffic if the suite varies the traffic, and metric: those that
-        the paper reports, and the proportion that crashed.
-
-    Raises:
-        ValueError: The two runs differ in more than the last decision, which only the authors' code
-            makes.
+    One row per agent, or per traffic if the suite varies the traffic, and metric: those that the
+    paper reports, and the proportion that crashed. A `ValueError` if the two runs differ in more
+    than the last decision, which only the authors' code makes.
     """
     suites = [RunFolder(run).suite() for run in (released, ours)]
-    if suites[0].scene != _with_last_decision(suites[1].scene):
+    # The authors' code has episodes of 61 decisions.
+    profile = suites[1].scene.profile.model_copy(update={"sums_time": True})
+    if suites[0].scene != suites[1].scene.model_copy(update={"profile": profile}):
         raise ValueError(f"{released} and {ours} have different scenes; run both suites again")
     varied = "agent" if len(suites[0].egos) > 1 else "traffic"
     crashed = {"agent": "crashed_episodes", "traffic": "traffic_crashed"}[varied]
@@ -79,12 +76,6 @@ def compared(released: Path, ours: Path) -> pl.DataFrame:
     return both.sort(
         pl.col(column).replace_strict(order, range(len(order))) for column, order in orders.items()
     )
-
-
-def _with_last_decision(scene: SceneSettings) -> SceneSettings:
-    """The scene, with episodes of 61 decisions as in the authors' code."""
-    profile = scene.profile.model_copy(update={"sums_time": True})
-    return scene.model_copy(update={"profile": profile})
 
 
 def with_verdicts(rows: pl.DataFrame) -> pl.DataFrame:

@@ -15,18 +15,10 @@ episodes, so the command continues where it was interrupted.
 from pathlib import Path
 from typing import Any
 
+import against_stock
 import gymnasium
 import highway_env  # noqa: F401  # registers its environments
 import numpy as np
-from against_stock import (
-    TITLES,
-    VARIABLES,
-    asked,
-    counted,
-    keep,
-    print_difference,
-    simulate_in_processes,
-)
 from numpy.typing import NDArray
 
 import charms_bench.envs  # noqa: F401  # registers those of charms-bench
@@ -74,7 +66,7 @@ def simulate(road: str, contestant: str, paths: list[Path], folder: Path) -> Non
         events = [
             f"{state[1]} {[np.array(each).tolist() for each in step[2:]]}" for state, step in both
         ]
-        keep(
+        against_stock.keep(
             path,
             actions=actions,
             events=events,
@@ -124,20 +116,20 @@ def print_functions(folder: Path) -> None:
 
 
 def main() -> None:
-    parser = asked(__doc__, "episodes", 200)
+    parser = against_stock.asked(__doc__, "episodes", 200)
     parser.add_argument("--road", choices=TASKS, default="merge-v0", metavar="NAME")
     parser.add_argument("--starts", type=int, default=1000)
     given = parser.parse_args()
     paths = {
         name: [given.folder / name / f"{given.road}-{k}.npz" for k in range(given.episodes)]
-        for name in VARIABLES
+        for name in against_stock.VARIABLES
     }
     if name := given.simulate:
-        keep(given.folder / name / "functions.npz", **values(name))
+        against_stock.keep(given.folder / name / "functions.npz", **values(name))
         with unchanged_idm():
             simulate(given.road, name, paths[name], given.folder)
         return
-    simulate_in_processes(__file__)
+    against_stock.simulate_in_processes(__file__)
     print(given.road)
     found = compare(given.road, range(given.starts), decisions=0, tolerance=AT_START)
     print(
@@ -145,16 +137,16 @@ def main() -> None:
         f"by at most {found.largest_at_start:.1e}"
     )
     apart = {}
-    for name in TITLES:
+    for name, title in against_stock.TITLES.items():
         apart[name] = np.empty(given.episodes)
         for k, (path, stock) in enumerate(zip(paths[name], paths["stock"], strict=True)):
             with np.load(path) as mine, np.load(stock) as theirs:
                 apart[name][k] = largest_difference(dict(mine), dict(theirs))
         same = apart[name][apart[name] <= TOLERANCE]
-        print(f"  {TITLES[name]}: {counted(apart[name] > TOLERANCE)}", end="")
+        print(f"  {title}: {against_stock.counted(apart[name] > TOLERANCE)}", end="")
         print(f", {np.isinf(apart[name]).sum()} by more than numbers", end="")
         print(f"; else numbers differ by at most {same.max():.1e}" if same.size else "")
-    print_difference(apart["ours"] > TOLERANCE, apart["dispatch"] > TOLERANCE)
+    against_stock.print_difference(apart["ours"] > TOLERANCE, apart["dispatch"] > TOLERANCE)
     print_functions(given.folder)
 
 

@@ -10,7 +10,7 @@ from scipy import special
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
-from charms_bench.statistics.intervals import CONFIDENCE, Bounds
+from charms_bench.statistics.intervals import CONFIDENCE
 from charms_bench.world.scene import Floats
 
 SEED = ", seed "
@@ -21,21 +21,14 @@ Columns = dict[str, tuple[str, str, Worst | None]]
 """Header and format of each metric, and which of the seeds' values is the worst, if any is."""
 
 
-def t_interval(values: Floats) -> Bounds:
-    """Student's t interval of the mean of independent values (..., n), at a nominal 95 %."""
-    n = values.shape[-1]
-    t = special.stdtrit(n - 1, (1 + CONFIDENCE) / 2)
-    margin = t * values.std(axis=-1, ddof=1) / np.sqrt(n)
-    mean = values.mean(axis=-1)
-    return mean - margin, mean + margin
-
-
 def mean_of(values: Floats, low: float = -np.inf, high: float = np.inf) -> Number:
     """The mean of seeds with its interval, if there are several, cut to what values can be."""
-    if len(values) < 2:
-        return Number(float(values.mean()) if len(values) else None, n=len(values))
-    found = t_interval(values)
-    return Number(values.mean(), max(found[0], low), min(found[1], high), len(values))
+    n = len(values)
+    if n < 2:
+        return Number(float(values.mean()) if n else None, n=n)
+    mean, t = values.mean(), special.stdtrit(n - 1, (1 + CONFIDENCE) / 2)
+    margin = t * values.std(ddof=1) / np.sqrt(n)
+    return Number(mean, max(mean - margin, low), min(mean + margin, high), n)
 
 
 def summary(values: pl.DataFrame, columns: Columns, keys: tuple[str, ...]) -> str:

@@ -105,8 +105,7 @@ def ring(
 ) -> tuple[Floats, Floats]:
     """What becomes of a displacement, a sine of one period, on rings of several densities.
 
-    Returns:
-        The growth rates (D,) of the longest wave, 1/s, and the vehicles' speeds (D, N) at the end.
+    The growth rates (D,) of the longest wave, 1/s, and the vehicles' speeds (D, N) at the end.
     """
     length = desired * seconds + 2e5 / densities.min()
     settings = SceneSettings.model_validate(

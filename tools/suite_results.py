@@ -7,7 +7,7 @@ from textwrap import fill
 
 import polars as pl
 from result_pages import RESULTS
-from transfer import transfer_numbers, transfer_table, with_worst
+from transfer import with_worst
 
 from charms_bench import open_run
 from charms_bench.cli.evaluations import HEADLINE_WIDTH
@@ -192,9 +192,3 @@ def preventable(run: Path) -> str:
     table = tables_of(run).preventable
     assert table is not None
     return f"{markdown(table.take(range(len(table.columns) - 1)))}\n{table.note}\n"
-
-
-def transfer(run: Path) -> str:
-    """The crashes at fault in other conditions; a CSV file has all crashes, too."""
-    transfer_numbers(run.parent).write_csv(RESULTS / "transfer.csv")
-    return transfer_table(run.parent)

@@ -81,17 +81,6 @@ TRAININGS = {
 }
 
 
-class Result(NamedTuple):
-    """What was learnt."""
-
-    simulator: str
-    steps: int
-    cpu_minutes: float
-    mean_return: float
-    crashed_percent: float
-    goal_percent: float
-
-
 def environments(training: Training, simulator: str, seed: int) -> VecEnv:
     """The environments in which the algorithm learns."""
     if simulator == "charms-bench":
@@ -114,8 +103,8 @@ def learn(training: Training, simulator: str, steps: int, seed: int) -> tuple[An
     return model, time.process_time() - began
 
 
-def evaluate(training: Training, choose: Callable[[Any], Any]) -> tuple[float, float, float]:
-    """The mean return, and how many episodes end with a crash and with the goal reached, %."""
+def evaluate(training: Training, choose: Callable[[Any], Any]) -> dict[str, float]:
+    """The mean return, and how many episodes end with a crash and with the goal reached."""
     road, episodes = training.road, Episodes(training.road, EPISODES, training.config)
     episodes.seed(episodes.everyone, np.arange(EPISODES, dtype=np.uint64) + FIRST_SEED)
     episodes.start(episodes.everyone)
@@ -136,7 +125,11 @@ def evaluate(training: Training, choose: Callable[[Any], Any]) -> tuple[float, f
         crashed |= ended & has_crashed
         goal |= ended & reached & ~has_crashed
         running &= ~ended
-    return float(returns.mean()), 100 * float(crashed.mean()), 100 * float(goal.mean())
+    return {
+        "mean_return": float(returns.mean()),
+        "crashed_percent": 100 * float(crashed.mean()),
+        "goal_percent": 100 * float(goal.mean()),
+    }
 
 
 def main() -> None:
@@ -160,9 +153,9 @@ def main() -> None:
         space, cpu_s = Episodes(training.road, 1).actions.space, 0.0
         space.seed(given.seed)
         found = evaluate(training, lambda _: np.array([space.sample() for _ in range(EPISODES)]))
-    result = Result(given.simulator, steps, cpu_s / 60, *found)
-    rounded = {k: round(v, 2) if isinstance(v, float) else v for k, v in result._asdict().items()}
-    print(json.dumps({"kind": given.kind, **rounded}))
+    made = {"kind": given.kind, "simulator": given.simulator, "steps": steps}
+    rounded = {name: round(each, 2) for name, each in ({"cpu_minutes": cpu_s / 60} | found).items()}
+    print(json.dumps(made | rounded))
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
+from result_pages import RESULTS
 
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
@@ -49,15 +50,16 @@ def crashed_elsewhere(runs: Path, metric: str) -> dict[str, dict[str, Number]]:
     return found
 
 
-def transfer_table(runs: Path) -> str:
-    """The proportion of crashes at fault, with one condition per row and one ego per column."""
-    found = crashed_elsewhere(runs, "crashed_at_fault")
+def transfer(run: Path) -> str:
+    """The crashes at fault, one condition per row; a CSV file has all crashes, too."""
+    _numbers(run.parent).write_csv(RESULTS / "transfer.csv")
+    found = crashed_elsewhere(run.parent, "crashed_at_fault")
     egos = dict.fromkeys((ego for numbers in found.values() for ego in numbers), ".1%")
     records = ({"condition": condition, **numbers} for condition, numbers in found.items())
     return markdown(Table.plain(records, ("condition",), egos))
 
 
-def transfer_numbers(runs: Path) -> pl.DataFrame:
+def _numbers(runs: Path) -> pl.DataFrame:
     """One row per metric of `METRICS`, condition and ego: the value and its interval."""
     return pl.DataFrame(
         [

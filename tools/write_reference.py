@@ -20,17 +20,7 @@ from typer.cli import get_docs_for_click
 
 from charms_bench.cli import app
 from charms_bench.cli.terminal import EXITS
-from charms_bench.maps.road_file import (
-    CircularFileLane,
-    FileConflict,
-    FileGap,
-    FileRoad,
-    FileSignal,
-    PolylineLane,
-    RoadFile,
-    SineFileLane,
-    StraightFileLane,
-)
+from charms_bench.maps import road_file
 from charms_bench.metrics import METRIC_SETS, ROADS, SCENARIOS, Metric
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
@@ -67,15 +57,15 @@ SUITE_KEYS: dict[str, type[BaseModel]] = {
 }
 """The models of a suite, each by the key under which it stands in YAML."""
 ROAD_KEYS: dict[str, type[BaseModel]] = {
-    "file": RoadFile,
-    "road": FileRoad,
-    "straight lane": StraightFileLane,
-    "sine lane": SineFileLane,
-    "circular lane": CircularFileLane,
-    "polyline lane": PolylineLane,
-    "conflict": FileConflict,
-    "signal": FileSignal,
-    "gap": FileGap,
+    "file": road_file.RoadFile,
+    "road": road_file.FileRoad,
+    "straight lane": road_file.StraightFileLane,
+    "sine lane": road_file.SineFileLane,
+    "circular lane": road_file.CircularFileLane,
+    "polyline lane": road_file.PolylineLane,
+    "conflict": road_file.FileConflict,
+    "signal": road_file.FileSignal,
+    "gap": road_file.FileGap,
 }
 """The models of a road file, each by what it describes."""
 NAMED = {"Profile": "[profile](#profiles)", "LatinHypercube": "`{latin_hypercube: N}`"}
@@ -193,19 +183,10 @@ def keys_of(model: type[BaseModel]) -> str:
     return table(("key", "value", "default", "meaning"), rows)
 
 
-def suite_keys() -> str:
-    headings = {key: f"`{key}`" for key in SUITE_KEYS} | {"a distribution": "A distribution"}
-    return sections(
-        (headings[key], f"{inspect.getdoc(model)}\n\n{keys_of(model)}")
-        for key, model in SUITE_KEYS.items()
-    )
-
-
-def road_file() -> str:
-    return sections(
-        (key.capitalize(), f"{inspect.getdoc(model)}\n\n{keys_of(model)}")
-        for key, model in ROAD_KEYS.items()
-    )
+def described(models: dict[str, type[BaseModel]], headings: Iterable[str]) -> str:
+    """What each model is, and its keys, under its heading."""
+    texts = (f"{inspect.getdoc(model)}\n\n{keys_of(model)}" for model in models.values())
+    return sections(zip(headings, texts, strict=True))
 
 
 def profiles() -> str:
@@ -269,8 +250,10 @@ def commands() -> str:
 
 
 WRITERS: dict[str, Callable[[], str]] = {
-    "suite-keys": suite_keys,
-    "road-file": road_file,
+    "suite-keys": lambda: described(
+        SUITE_KEYS, (f"`{key}`" if " " not in key else key.capitalize() for key in SUITE_KEYS)
+    ),
+    "road-file": lambda: described(ROAD_KEYS, map(str.capitalize, ROAD_KEYS)),
     "profiles": profiles,
     "metrics": metrics,
     "columns": columns,

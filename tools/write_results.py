@@ -22,64 +22,42 @@ from pathlib import Path
 
 import likeness_page
 import mutants
+import run_results as of_runs
+import suite_results as of_suites
 from rare_comparison import rare_comparison, rare_estimate
-from result_pages import RESULTS, ROOT, keep, refill
-from run_results import (
-    avoidability,
-    edges,
-    fine_tuning,
-    made_at,
-    reproduction,
-    training_time,
-)
-from suite_results import (
-    EDGE_CASES,
-    ENVIRONMENT,
-    PCH,
-    STYLES,
-    crossplay,
-    ego,
-    merge,
-    of_suite,
-    preventable,
-    rates,
-    readme,
-    realism,
-    roads,
-    transfer,
-)
+from result_pages import ROOT, keep, refill
+from transfer import transfer
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
-    "readme": ("ego", readme),
-    "merge": ("merge-mine", merge),
-    "runs": ("ego", made_at),
-    "ego": ("ego", ego),
-    "edge-cases": ("ego", edges),
-    "styles": ("styles", partial(of_suite, STYLES)),
+    "readme": ("ego", of_suites.readme),
+    "merge": ("merge-mine", of_suites.merge),
+    "runs": ("ego", of_runs.made_at),
+    "ego": ("ego", of_suites.ego),
+    "edge-cases": ("ego", of_runs.edges),
+    "styles": ("styles", partial(of_suites.of_suite, of_suites.STYLES)),
     "transfer": ("transfer-traffics", transfer),
-    "environment": ("environment", partial(of_suite, ENVIRONMENT)),
-    "environment-edge-cases": ("environment", partial(rates, EDGE_CASES)),
-    "released-edge-cases": ("released-environment", partial(rates, EDGE_CASES)),
-    "realism": ("realism", realism),
-    "pch": ("pch", partial(of_suite, PCH)),
-    "crossplay": ("crossplay", crossplay),
-    "roads": ("roads", roads),
-    "preventable": ("r157", preventable),
-    "avoidability": ("ego", avoidability),
-    "fine-tuning": ("train", fine_tuning),
-    "training-time": ("train", training_time),
+    "environment": ("environment", partial(of_suites.of_suite, of_suites.ENVIRONMENT)),
+    "environment-edge-cases": ("environment", partial(of_suites.rates, of_suites.EDGE_CASES)),
+    "released-edge-cases": ("released-environment", partial(of_suites.rates, of_suites.EDGE_CASES)),
+    "realism": ("realism", of_suites.realism),
+    "pch": ("pch", partial(of_suites.of_suite, of_suites.PCH)),
+    "crossplay": ("crossplay", of_suites.crossplay),
+    "roads": ("roads", of_suites.roads),
+    "preventable": ("r157", of_suites.preventable),
+    "avoidability": ("ego", of_runs.avoidability),
+    "fine-tuning": ("train", of_runs.fine_tuning),
+    "training-time": ("train", of_runs.training_time),
     "rare": ("rare", rare_estimate),
     "rare-comparison": ("rare", rare_comparison),
-    "reproduction-ego": ("released-ego", reproduction),
-    "reproduction-styles": ("released-styles", reproduction),
-    "reproduction-environment": ("released-environment", reproduction),
+    "reproduction-ego": ("released-ego", of_runs.reproduction),
+    "reproduction-styles": ("released-styles", of_runs.reproduction),
+    "reproduction-environment": ("released-environment", of_runs.reproduction),
 }
 """By name: the run folder that is needed, and what makes the text of it."""
 
 
 def suites(runs: Path) -> None:
     """Writes the tables of `TABLES`."""
-    RESULTS.mkdir(exist_ok=True)
     for name, (folder, make) in TABLES.items():
         text = make(runs / folder) if (runs / folder).is_dir() else ""
         if text:

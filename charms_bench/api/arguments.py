@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute
@@ -21,27 +20,17 @@ def check_positive(**options: float | None) -> None:
             raise InputError(f"{name} is {value}; expected a number above 0")
 
 
-class Asked(NamedTuple):
-    """An evaluation that a user asks for."""
-
-    document: Document
-    suite: Suite
-    name: str
-    """The name of the folder by default."""
-    folder: Path
-
-
 def asked(
     suite: PathLike,
     output: PathLike | None,
     agents: Sequence[str],
     kind: str = "",
     **changes: int | None,
-) -> Asked:
+) -> tuple[Document, Suite, str, Path]:
     """Reads a suite with some keys changed and agents added to its egos.
 
-    `kind` follows the name of the suite in that of the folder. A `CharmsBenchError` says why the
-    suite, an agent or a network cannot be used.
+    Returns also the folder's name by default, in which `kind` follows that of the suite, and the
+    folder. A `CharmsBenchError` says why the suite, an agent or a network cannot be used.
     """
     document = evaluation_in(suite)
     document.data |= {key: value for key, value in changes.items() if value is not None}
@@ -53,7 +42,7 @@ def asked(
     loaded = suite_of(document)
     check_agents(document, loaded)
     name = "-".join((loaded.suite + kind, *(name_of_agent(ego["label"]) for ego in added)))
-    return Asked(document, loaded, name, place if output else place / name)
+    return document, loaded, name, place if output else place / name
 
 
 def evaluation_in(suite: PathLike) -> Document:

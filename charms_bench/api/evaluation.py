@@ -119,10 +119,7 @@ def cell_of(
     """One scene of a suite with an agent as the ego, its title, and the suite's first seed.
 
     `traffic` and `road` are the labels of one of the suite's traffic models and of one of its
-    roads; None is the only one.
-
-    Raises:
-        CharmsBenchError: The suite, the agent or the label cannot be used.
+    roads; None is the only one. A `CharmsBenchError` says what cannot be used.
     """
     from charms_bench.engine.simulation import Simulation
 

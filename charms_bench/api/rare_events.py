@@ -85,20 +85,14 @@ def rare(
     kind = f"-rare-{event.partition(':')[0]}"
     document, loaded, name, folder = asked(suite, output, agents, kind, seed=seed, episodes=1)
     definition = event_of(event).definition
-    if loaded.scene.recording is not None:
-        what = "rare draws where vehicles start, and recordings place them; remove it"
-        raise document.error(("scene", "recording"), what)
-    for index, road in enumerate(loaded.roads):
-        if road.start != DRAWN:
-            what = "rare draws where vehicles start, and a recorded scene places them; remove it"
-            raise document.error(("roads", index), what)
-    for index, entry in enumerate(loaded.traffics):
-        if entry.traffic.scenario is not None:
-            what = (
-                "rare draws where vehicles start, and a scenario places them; expected a traffic "
-                "model"
-            )
-            raise document.error(("traffic_models", index, "traffic", "scenario"), what)
+    placing: list[tuple[str | int, ...]] = []
+    placing += [("scene", "recording")] if loaded.scene.recording is not None else []
+    placing += [("roads", k) for k, road in enumerate(loaded.roads) if road.start != DRAWN]
+    for k, entry in enumerate(loaded.traffics):
+        placing += [("traffic_models", k, "traffic", "scenario")] if entry.traffic.scenario else []
+    if placing:
+        what = "rare draws where vehicles start, and this places them; remove it"
+        raise document.error(placing[0], what)
     check_sizes(loaded, runs, samples)
     warm_up()
     note_roads(loaded)

@@ -226,9 +226,6 @@ class Run:
         Args:
             top: How many at most.
             kind: Only episodes of this kind, such as `near-miss`.
-            ego: The ego.
-            traffic: The traffic.
-            road: The road.
 
         Raises:
             InputError: The kind is unknown.
@@ -294,16 +291,13 @@ class Run:
         road: str | None = None,
         episodes: int | None = None,
     ) -> Path:
-        """Simulates episodes again and writes them as a dataset for other tools.
+        """Simulates episodes of one cell again and writes them as a dataset for other tools.
 
         Args:
             format: `minari`, the ego's observations, actions and rewards, which needs the extra
                 `dataset`; `highd`, the trajectories of all vehicles in highD's format; or
                 `parquet`, their states at every simulation step (`episodes.replay`).
             output: The folder to write, which is returned; by default one in the run folder.
-            ego: The ego; the episodes are those of one cell.
-            traffic: The traffic.
-            road: The road.
             episodes: How many, from the first; by default all.
 
         Raises:
@@ -335,9 +329,6 @@ class Run:
             step: The first decision of the other agent; an episode's decisions begin with 1.
             agent: The name of an installed agent, or the path of a network.
             vehicle: The vehicle, by its number in replays; by default the ego.
-            ego: The recorded ego.
-            traffic: The traffic.
-            road: The road.
             ego_index: Which of several egos; it is vehicle 0.
 
         Raises:
@@ -363,10 +354,7 @@ class Run:
         Args:
             episodes: Seeds of episodes of one cell that end with such a collision; by default all
                 of them, of all egos in all cells.
-            ego: The ego.
-            traffic: The traffic.
             budget: The most decisions to simulate in the search for one collision's escape.
-            road: The road.
             ego_index: Which of several egos collides in these episodes.
 
         Raises:

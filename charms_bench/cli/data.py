@@ -7,16 +7,8 @@ from typing import Annotated, Any, Literal
 import typer
 
 import charms_bench
+from charms_bench.cli import arguments
 from charms_bench.cli.terminal import (
-    DATA,
-    EgoLabel,
-    FigurePath,
-    Json,
-    Recordings,
-    RoadLabel,
-    RunPath,
-    SuiteFolder,
-    TrafficLabel,
     app,
     end_with_json,
     err,
@@ -31,8 +23,12 @@ from charms_bench.foundation.files import absolute, write_bytes
 from charms_bench.foundation.words import counted
 
 
-@app.command(rich_help_panel=DATA)
-def data(recordings: Recordings, figure: FigurePath = None, as_json: Json = False) -> None:
+@app.command(rich_help_panel=arguments.DATA)
+def data(
+    recordings: arguments.Recordings,
+    figure: arguments.FigurePath = None,
+    as_json: arguments.Json = False,
+) -> None:
     """Summarise recordings of human driving."""
     from charms_bench.foundation.progress import progress
     from charms_bench.people.survey import OFF_CENTRE_M, survey
@@ -146,15 +142,15 @@ def _print_learnable(name: str, found: Any) -> None:
     print_records(reason, rejected, {"decisions": ",.0f"})
 
 
-@app.command(rich_help_panel=DATA)
+@app.command(rich_help_panel=arguments.DATA)
 def calibrate(
-    recordings: Recordings,
+    recordings: arguments.Recordings,
     to: Path | None = typer.Option(
         None,
         help="New file NAME.json for the population, from which the agent human draws drivers.",
     ),
-    figure: FigurePath = None,
-    as_json: Json = False,
+    figure: arguments.FigurePath = None,
+    as_json: arguments.Json = False,
 ) -> None:
     """Fit drivers to recordings, and predict held-out drivers."""
     from charms_bench.foundation.progress import note
@@ -210,7 +206,7 @@ def calibrate(
         say(f"Written: {shown(absolute(path))}")
 
 
-@app.command(rich_help_panel=DATA)
+@app.command(rich_help_panel=arguments.DATA)
 def likeness(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
     recordings: Annotated[
@@ -237,8 +233,8 @@ def likeness(
         help="Also score drivers with known faults, such as copied accelerations, to see what "
         "the score tells apart on these recordings.",
     ),
-    figure: FigurePath = None,
-    as_json: Json = False,
+    figure: arguments.FigurePath = None,
+    as_json: arguments.Json = False,
 ) -> None:
     """Score how much egos and traffic drive like recorded drivers."""
     from charms_bench.foundation.progress import note
@@ -247,13 +243,7 @@ def likeness(
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.likeness import draw
     from charms_bench.report.likeness_table import basis_of, likeness_tables
-    from charms_bench.runs.likeness import (
-        drive_scenes,
-        likeness_in_scenes,
-        likeness_of_controls,
-        standard,
-    )
-    from charms_bench.runs.likeness import likeness as scored
+    from charms_bench.runs import likeness as scoring
     from charms_bench.runs.suite import load_suite
 
     read, files, basis = load_suite(suite), scenes_in(absolute(recordings)), ""
@@ -262,21 +252,22 @@ def likeness(
         raise InputError("CommonRoad scenarios: give no --population, --half or --controls")
     with interruptible():
         if files:
-            found = drive_scenes(read, files, note)
-            rows, basis = [*likeness_in_scenes(found)], basis_of(found)
+            found = scoring.drive_scenes(read, files, note)
+            rows, basis = [*scoring.likeness_in_scenes(found)], basis_of(found)
         elif population is None:
             raise InputError(
                 f"{recordings}: no CommonRoad scenario is there, and other recordings need "
                 "--population: i24, i75 or a file of `calibrate`"
             )
         else:
-            against = standard(read, absolute(recordings), read_population(population), half)
-            for each in scored(read, against):
+            fitted = read_population(population)
+            against = scoring.standard(read, absolute(recordings), fitted, half)
+            for each in scoring.likeness(read, against):
                 note(f"{each.kind} {each.label}")
                 rows.append(each)
             if controls:
                 note("controls")
-                of_controls = list(likeness_of_controls(read, against))
+                of_controls = list(scoring.likeness_of_controls(read, against))
     if figure is not None:
         save(draw(rows), figure)
     if as_json:
@@ -289,26 +280,26 @@ def likeness(
         say(f"Figure: {shown(figure)}")
 
 
-@app.command(rich_help_panel=DATA)
+@app.command(rich_help_panel=arguments.DATA)
 def dataset(
-    run: RunPath,
+    run: arguments.RunPath,
     kind: Literal["minari", "highd", "parquet"] = typer.Option(
         ...,
         "--format",
         help="minari: observations, actions and rewards of the ego. highd: trajectories of all "
         "vehicles in highD's format. parquet: their states at every simulation step.",
     ),
-    ego: EgoLabel = None,
-    road: RoadLabel = None,
-    traffic: TrafficLabel = None,
+    ego: arguments.EgoLabel = None,
+    road: arguments.RoadLabel = None,
+    traffic: arguments.TrafficLabel = None,
     episodes: int | None = typer.Option(
         None, min=1, help="Number of episodes, from the first; the default is all."
     ),
     output: Path | None = typer.Option(
         None, help="New folder; the default is one in the run folder."
     ),
-    suite_folder: SuiteFolder = Path(),
-    as_json: Json = False,
+    suite_folder: arguments.SuiteFolder = Path(),
+    as_json: arguments.Json = False,
 ) -> None:
     """Write the episodes of a run as a dataset for other tools."""
     opened = charms_bench.open_run(run, suite_folder)

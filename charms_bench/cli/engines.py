@@ -8,13 +8,10 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 import charms_bench
+from charms_bench.cli import arguments
 from charms_bench.cli.terminal import (
-    ENGINE,
     FAIL,
-    Json,
-    Workers,
     app,
-    drawable,
     end_with_json,
     err,
     interruptible,
@@ -33,7 +30,7 @@ Road = Annotated[
 ]
 
 
-@app.command(rich_help_panel=ENGINE)
+@app.command(rich_help_panel=arguments.ENGINE)
 def verify(
     suite: Path | None = typer.Option(
         None, help="Compare the engines in this suite instead of the built-in cases."
@@ -49,8 +46,8 @@ def verify(
     starts: bool = typer.Option(
         False, "--starts", help="Compare only the starts of the episodes of --road."
     ),
-    workers: Workers = None,
-    as_json: Json = False,
+    workers: arguments.Workers = None,
+    as_json: arguments.Json = False,
 ) -> None:
     """Compare the compiled engine with highway-env's own vehicles.
 
@@ -150,7 +147,7 @@ def _known(road: str) -> str:
     return road
 
 
-@app.command("warm-up", rich_help_panel=ENGINE)
+@app.command("warm-up", rich_help_panel=arguments.ENGINE)
 def compile_engine() -> None:
     """Compile the engine before the first run.
 
@@ -161,7 +158,7 @@ def compile_engine() -> None:
     say("The engine is compiled." if compiled else "The engine was compiled before.")
 
 
-@app.command(rich_help_panel=ENGINE)
+@app.command(rich_help_panel=arguments.ENGINE)
 def bench(
     context: typer.Context,
     vehicles: int = typer.Option(
@@ -184,11 +181,11 @@ def bench(
     road: Road = None,
     scale: Path | None = typer.Option(
         None,
-        callback=drawable,
+        callback=arguments.drawable,
         help="Measure the compiled engine with 1 to all cores, 21 to 2,000 vehicles and 1 to "
         "100,000 scenes instead, and draw the speeds to this file (.pdf, .png or .svg).",
     ),
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Measure environment steps and vehicle updates per second.
 

@@ -9,17 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 import charms_bench
+from charms_bench.cli import arguments
 from charms_bench.cli.terminal import (
-    FAILURES,
-    AnySuite,
-    EgoAgents,
-    EgoLabel,
-    Json,
-    RoadLabel,
-    RunPath,
-    SuiteFolder,
-    TrafficLabel,
-    Workers,
     app,
     end_with_json,
     interruptible,
@@ -44,10 +35,10 @@ EgoIndex = Annotated[
 ]
 
 
-@app.command(rich_help_panel=FAILURES)
+@app.command(rich_help_panel=arguments.FAILURES)
 def rare(
-    suite: AnySuite,
-    agents: EgoAgents = None,
+    suite: arguments.AnySuite,
+    agents: arguments.EgoAgents = None,
     event: str = typer.Option(
         "crash",
         metavar="NAME[:OPTION=VALUE,...]",
@@ -64,11 +55,11 @@ def rare(
     seed: int | None = typer.Option(
         None, min=0, help="Seed of all random draws; overrides the suite."
     ),
-    workers: Workers = None,
+    workers: arguments.Workers = None,
     output: Path | None = typer.Option(
         None, help="Folder; the default is runs/SUITE-rare-EVENT, and each --agent."
     ),
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Estimate the probability of a rare event, such as a crash.
 
@@ -92,18 +83,18 @@ def rare(
     say(f"Written: {', '.join(map(shown, made.files))}")
 
 
-@app.command(rich_help_panel=FAILURES)
+@app.command(rich_help_panel=arguments.FAILURES)
 def edge_cases(
-    run: RunPath,
+    run: arguments.RunPath,
     top: int = typer.Option(10, min=1, max=10_000_000, help="Maximum number of episodes to list."),
     kind: Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]
     | None = typer.Option(
         None,
         help="List only this kind. In an abandoned lane change, another vehicle takes the gap.",
     ),
-    ego: EgoLabel = None,
-    road: RoadLabel = None,
-    traffic: TrafficLabel = None,
+    ego: arguments.EgoLabel = None,
+    road: arguments.RoadLabel = None,
+    traffic: arguments.TrafficLabel = None,
     avoidable: bool = typer.Option(
         False,
         "--avoidable",
@@ -113,8 +104,8 @@ def edge_cases(
     budget: int = typer.Option(
         200_000, min=1, help="For --avoidable: maximum number of decisions per collision."
     ),
-    suite_folder: SuiteFolder = Path(),
-    as_json: Json = False,
+    suite_folder: arguments.SuiteFolder = Path(),
+    as_json: arguments.Json = False,
 ) -> None:
     """Rank the episodes of a run by criticality."""
     opened = charms_bench.open_run(run, suite_folder)
@@ -170,13 +161,13 @@ def _print_avoidability(opened: "Run", cases: "list[EdgeCase]", budget: int, as_
     print_table(rescuers_table(found, opened.suite.preventable_by))
 
 
-@app.command(rich_help_panel=FAILURES)
+@app.command(rich_help_panel=arguments.FAILURES)
 def replay(
-    run: RunPath,
+    run: arguments.RunPath,
     episode: Episode,
-    ego: EgoLabel = None,
-    road: RoadLabel = None,
-    traffic: TrafficLabel = None,
+    ego: arguments.EgoLabel = None,
+    road: arguments.RoadLabel = None,
+    traffic: arguments.TrafficLabel = None,
     ego_index: EgoIndex = 0,
     output: Path | None = typer.Option(
         None,
@@ -186,8 +177,8 @@ def replay(
     commonroad: Path | None = typer.Option(
         None, metavar="OUT.xml", help="Also write the episode as a CommonRoad scenario."
     ),
-    suite_folder: SuiteFolder = Path(),
-    as_json: Json = False,
+    suite_folder: arguments.SuiteFolder = Path(),
+    as_json: arguments.Json = False,
 ) -> None:
     """Write an animation and the trajectories of an episode."""
     from charms_bench.episodes.animation import check_animation
@@ -231,9 +222,9 @@ def replay(
         say(f"{titles[kind]}: {shown(Path(file))}")
 
 
-@app.command(rich_help_panel=FAILURES)
+@app.command(rich_help_panel=arguments.FAILURES)
 def what_if(
-    run: RunPath,
+    run: arguments.RunPath,
     episode: Episode,
     at: int = typer.Option(
         ...,
@@ -251,14 +242,14 @@ def what_if(
     ego: str | None = typer.Option(
         None, "--ego", help="Label of the recorded ego, as in the tables."
     ),
-    road: RoadLabel = None,
-    traffic: TrafficLabel = None,
+    road: arguments.RoadLabel = None,
+    traffic: arguments.TrafficLabel = None,
     ego_index: EgoIndex = 0,
     output: Path | None = typer.Option(
         None, metavar="OUT.html", help="File of the page with the replay."
     ),
-    suite_folder: SuiteFolder = Path(),
-    as_json: Json = False,
+    suite_folder: arguments.SuiteFolder = Path(),
+    as_json: arguments.Json = False,
 ) -> None:
     """Let another agent drive from a decision of an episode on."""
     from charms_bench.episodes.dataset import name_of
@@ -291,7 +282,7 @@ def what_if(
     say(f"Page: {shown(page)}")
 
 
-@app.command(rich_help_panel=FAILURES)
+@app.command(rich_help_panel=arguments.FAILURES)
 def search(
     suite: Path = typer.Argument(
         metavar="SUITE", help="YAML file with a scenario, or with a road that has `parameters`."
@@ -305,14 +296,14 @@ def search(
     traffic: str | None = typer.Option(
         None, help="Label of the scenario, or of the traffic model on the road."
     ),
-    road: RoadLabel = None,
+    road: arguments.RoadLabel = None,
     failures: int = typer.Option(10, min=1, help="Number of failures after which the search ends."),
     budget: int = typer.Option(5000, min=1, help="Number of episodes after which the search ends."),
     seed: int = typer.Option(0, min=0, help="Seed of the search."),
     output: Path | None = typer.Option(
         None, "--output", "-o", help="Folder; the default is runs/SUITE-search, and --agent."
     ),
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Search the parameters of a scenario or of a road for failures of an agent.
 

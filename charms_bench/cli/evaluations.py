@@ -8,17 +8,10 @@ from typing import Annotated, Any
 import typer
 
 import charms_bench
+from charms_bench.cli import arguments
 from charms_bench.cli.terminal import (
-    EVALUATE,
     FAIL,
     UNKNOWN,
-    AnySuite,
-    EgoAgents,
-    Json,
-    MetricSets,
-    RunPath,
-    SuiteFolder,
-    Workers,
     app,
     as_word,
     end_with_json,
@@ -48,12 +41,12 @@ VERDICTS = {
 """The exit code of `audit`, and what it says."""
 
 
-@app.command(rich_help_panel=EVALUATE)
+@app.command(rich_help_panel=arguments.EVALUATE)
 def suites(
     copy: str | None = typer.Option(
         None, metavar="NAME", help="Copy this suite to the current folder, to edit it."
     ),
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """List the suites that come with charms-bench.
 
@@ -75,14 +68,14 @@ def suites(
         say(f"{name:{width}}  {title}")
 
 
-@app.command(rich_help_panel=EVALUATE)
+@app.command(rich_help_panel=arguments.EVALUATE)
 def run(
-    suite: AnySuite,
-    agents: EgoAgents = None,
+    suite: arguments.AnySuite,
+    agents: arguments.EgoAgents = None,
     episodes: int | None = typer.Option(
         None, min=1, help="Episodes per ego and traffic model; overrides the suite."
     ),
-    workers: Workers = None,
+    workers: arguments.Workers = None,
     seed: int | None = typer.Option(
         None,
         min=0,
@@ -124,7 +117,7 @@ def run(
     recordings: Path | None = typer.Option(
         None, help="Folder of human recordings for training; overrides the suite."
     ),
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Run a suite, or continue an interrupted run of it.
 
@@ -181,7 +174,7 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
     say(f"All tables: charms-bench show {folder}; as a page: charms-bench report {folder}")
 
 
-@app.command(rich_help_panel=EVALUATE)
+@app.command(rich_help_panel=arguments.EVALUATE)
 def show(
     run: Path = typer.Argument(
         metavar="RUN", help="Folder of an evaluation, a training, `rare` or `search`."
@@ -190,7 +183,7 @@ def show(
         None, "--metric", help="Show only this metric; repeat for more."
     ),
     everything: AllMetrics = False,
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Print the tables of a run, with 95 % intervals drawn to scale."""
     from charms_bench.episodes.search import MANIFEST as SEARCH
@@ -277,7 +270,7 @@ def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
         out().print(drawn_curves(training, out().width))
 
 
-@app.command(rich_help_panel=EVALUATE)
+@app.command(rich_help_panel=arguments.EVALUATE)
 def compare(
     first: Path = typer.Argument(metavar="RUN_A", help="Folder of a finished run."),
     second: Path | None = typer.Argument(
@@ -295,9 +288,9 @@ def compare(
         help="Test only this metric; repeat for more. Fewer tests have more power; choose "
         "the metrics before you look at the results.",
     ),
-    metric_sets: MetricSets = None,
+    metric_sets: arguments.MetricSets = None,
     everything: AllMetrics = False,
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Test in which metrics two egos differ.
 
@@ -321,15 +314,19 @@ def compare(
         )
 
 
-@app.command(rich_help_panel=EVALUATE)
-def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False) -> None:
+@app.command(rich_help_panel=arguments.EVALUATE)
+def rescore(
+    run: arguments.RunPath,
+    metric_sets: arguments.MetricSets = None,
+    as_json: arguments.Json = False,
+) -> None:
     """Compute the metrics of a run again, without simulating."""
     opened = charms_bench.open_run(run)
     table = opened.rescore(*(metric_sets or ()))
     _print_result(opened, as_json, table if metric_sets else None)
 
 
-@app.command(rich_help_panel=EVALUATE)
+@app.command(rich_help_panel=arguments.EVALUATE)
 def report(
     runs: list[Path] = typer.Argument(
         metavar="RUN...", help="Folders of finished runs, trainings, `rare` and `search`."
@@ -350,8 +347,8 @@ def report(
         help="Also show the future of each --episode with another agent from decision STEP on; "
         "see `charms-bench what-if`.",
     ),
-    suite_folder: SuiteFolder = Path(),
-    as_json: Json = False,
+    suite_folder: arguments.SuiteFolder = Path(),
+    as_json: arguments.Json = False,
 ) -> None:
     """Write runs into one self-contained HTML file."""
     from charms_bench.report.html.report import write_report
@@ -365,9 +362,9 @@ def report(
     )
 
 
-@app.command(rich_help_panel=EVALUATE)
+@app.command(rich_help_panel=arguments.EVALUATE)
 def audit(
-    run: RunPath,
+    run: arguments.RunPath,
     everything: bool = typer.Option(
         False, "--all", help="Simulate every shard again, not only a sample."
     ),
@@ -375,9 +372,9 @@ def audit(
     seed: int | None = typer.Option(
         None, min=0, help="Seed that chooses the shards; by default, a new one."
     ),
-    workers: Workers = None,
-    suite_folder: SuiteFolder = Path(),
-    as_json: Json = False,
+    workers: arguments.Workers = None,
+    suite_folder: arguments.SuiteFolder = Path(),
+    as_json: arguments.Json = False,
 ) -> None:
     """Check the rows, tables and networks of a run.
 

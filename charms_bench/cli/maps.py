@@ -7,16 +7,8 @@ from typing import Annotated, Any
 import typer
 
 import charms_bench
-from charms_bench.cli.terminal import (
-    ROADS,
-    FigurePath,
-    Json,
-    app,
-    end_with_json,
-    print_records,
-    say,
-    shown,
-)
+from charms_bench.cli import arguments
+from charms_bench.cli.terminal import app, end_with_json, print_records, say, shown
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.words import counted
@@ -25,7 +17,7 @@ MOST_GAPS = MOST_ROADS = 10
 """The gaps and the roads that are listed one by one; `--json` has all."""
 
 
-@app.command(rich_help_panel=ROADS)
+@app.command(rich_help_panel=arguments.ROADS)
 def road(
     file: Annotated[
         Path,
@@ -37,7 +29,7 @@ def road(
     to: Annotated[
         Path | None, typer.Option(help="New file NAME.json for the roads, a road file.")
     ] = None,
-    figure: FigurePath = None,
+    figure: arguments.FigurePath = None,
     around: Annotated[
         tuple[float, float] | None,
         typer.Option(
@@ -48,7 +40,7 @@ def road(
     radius: Annotated[
         float | None, typer.Option(min=0.0, help="How far roads may be from --around, m.")
     ] = None,
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Describe a road map, and write it as a road file."""
     if (around is None) != (radius is None):
@@ -90,7 +82,7 @@ def road(
         say(f"Written: {shown(absolute(path))}")
 
 
-@app.command(rich_help_panel=ROADS)
+@app.command(rich_help_panel=arguments.ROADS)
 def drive(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Road file or map, as for `road`.")],
     vehicles: Annotated[int, typer.Option(min=2, help="How many vehicles drive.")] = 100,
@@ -98,7 +90,7 @@ def drive(
     seed: Annotated[
         int, typer.Option(min=0, help="Decides where vehicles start and where they go.")
     ] = 0,
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Let traffic drive on a road for hours, and count what goes wrong."""
     from charms_bench.roads.long_drive import long_drive  # slow to import

@@ -6,11 +6,9 @@ from typing import Any, Literal
 import typer
 
 import charms_bench
+from charms_bench.cli import arguments
 from charms_bench.cli.terminal import (
-    AGENTS,
     FAIL,
-    FigurePath,
-    Json,
     app,
     as_word,
     end_with_json,
@@ -23,8 +21,8 @@ from charms_bench.errors import PLUGIN_ERRORS, InputError, raised, suggestion
 from charms_bench.foundation.files import absolute, is_same_file
 
 
-@app.command(rich_help_panel=AGENTS)
-def agents(as_json: Json = False) -> None:
+@app.command(rich_help_panel=arguments.AGENTS)
+def agents(as_json: arguments.Json = False) -> None:
     """List the installed agents and traffic models.
 
     The plugins are not imported. Each is described by the first line of its docstring. A name that
@@ -57,13 +55,13 @@ def agents(as_json: Json = False) -> None:
 
 @app.command(
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
-    rich_help_panel=AGENTS,
+    rich_help_panel=arguments.AGENTS,
 )
 def traffic(
     context: typer.Context,
     name: str = typer.Argument(help="Traffic model; its options follow, e.g. --tau 1.5."),
-    figure: FigurePath = None,
-    as_json: Json = False,
+    figure: arguments.FigurePath = None,
+    as_json: arguments.Json = False,
 ) -> None:
     """Print the proportions of agents in a traffic model."""
     from charms_bench.plugins.registry import make_traffic
@@ -104,9 +102,9 @@ def _options(words: list[str]) -> dict[str, Any]:
     return options
 
 
-@app.command(rich_help_panel=AGENTS)
+@app.command(rich_help_panel=arguments.AGENTS)
 def check(
-    name: str = typer.Argument(help="Agent or traffic model."), as_json: Json = False
+    name: str = typer.Argument(help="Agent or traffic model."), as_json: arguments.Json = False
 ) -> None:
     """Test whether a plugin follows the rules.
 
@@ -141,7 +139,7 @@ def check(
     raise typer.Exit(code)
 
 
-@app.command(rich_help_panel=AGENTS)
+@app.command(rich_help_panel=arguments.AGENTS)
 def new_agent(
     name: str = typer.Argument(help="Name of the agent in suites."),
     folder: Path | None = typer.Option(
@@ -163,7 +161,7 @@ def new_agent(
     say(f"Next: cd {as_word(folder)} && {tried}")
 
 
-@app.command(rich_help_panel=AGENTS)
+@app.command(rich_help_panel=arguments.AGENTS)
 def export(
     files: list[Path] = typer.Argument(
         metavar="CHECKPOINT... [OUT.onnx]",
@@ -212,7 +210,7 @@ def export(
         help="Draw the actions of a PPO, A2C or RecurrentPPO at random, as in training; by "
         "default, the network chooses the most probable action.",
     ),
-    as_json: Json = False,
+    as_json: arguments.Json = False,
 ) -> None:
     """Convert trained networks to ONNX files for suites.
 

@@ -13,13 +13,12 @@ from pathlib import Path
 from select import select
 from shlex import quote
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import typer
 from typer.core import TyperGroup
 
 from charms_bench.errors import InputError
-from charms_bench.foundation.files import absolute
 from charms_bench.foundation.streams import QUIET
 
 if TYPE_CHECKING:
@@ -39,13 +38,6 @@ EXITS = {
     141: "the reader of the output has left",
     143: "stopped by SIGTERM",
 }
-EVALUATE = "Evaluate"
-FAILURES = "Find and explain failures"
-AGENTS = "Agents and traffic models"
-ENGINE = "The engine"
-DATA = "Human driving and datasets"
-ROADS = "Roads"
-"""The groups of commands in `--help`, each a command's `rich_help_panel`."""
 
 
 class _InGroups(TyperGroup):
@@ -98,7 +90,7 @@ def _only_ours(output: TextIO) -> TextIO:
     return ours
 
 
-def _print_only_json(context: typer.Context, wanted: bool) -> bool:
+def print_only_json(context: typer.Context, wanted: bool) -> bool:
     if wanted:
         answer = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  # open until the process ends
         before = _ANSWER.set(_only_ours(answer))
@@ -107,73 +99,8 @@ def _print_only_json(context: typer.Context, wanted: bool) -> bool:
     return wanted
 
 
-Json = Annotated[
-    bool,
-    typer.Option("--json", callback=_print_only_json, help="Print only JSON on standard output."),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(min=1, max=1024, help="Number of worker processes; the default is one per core."),
-]
-MetricSets = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME[:OPTION=VALUE,...]",
-        help="Metric set, e.g. standard:ttc_s=2; repeat for more. The default is paper and "
-        "standard.",
-    ),
-]
-RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
-EgoLabel = Annotated[
-    str | None, typer.Option("--ego", help="Select the ego with this label in the tables.")
-]
-TrafficLabel = Annotated[
-    str | None, typer.Option("--traffic", help="Select the traffic model with this label.")
-]
-RoadLabel = Annotated[str | None, typer.Option("--road", help="Select the road with this label.")]
-EgoAgents = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--agent",
-        help="Installed agent, or ONNX file of a network, that drives the ego besides the suite's "
-        "egos; repeat for more.",
-    ),
-]
-AnySuite = Annotated[
-    Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
-]
-SuiteFolder = Annotated[
-    Path, typer.Option(help="Folder that relative paths in the suite refer to.")
-]
 END_S = 2.0
 """Seconds after a second signal that a command has to end by itself."""
-Recordings = Annotated[
-    Path,
-    typer.Argument(
-        metavar="RECORDINGS",
-        help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
-        "of I-24 or I-75.",
-    ),
-]
-
-
-def drawable(path: Path | None) -> Path | None:
-    """The absolute path of a figure; raises an `InputError` if no figure can have its name."""
-    if path is None:
-        return None
-    from charms_bench.report.figures.drawing import check_figure
-
-    check_figure(path)
-    return absolute(path)
-
-
-FigurePath = Annotated[
-    Path | None,
-    typer.Option(
-        "--figure", callback=drawable, help="Draw a figure into this .png, .pdf or .svg file."
-    ),
-]
 
 
 @cache

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import typer
 
 import charms_bench
-from charms_bench.cli.terminal import FAILURES, app, interruptible, out, say
+from charms_bench.cli import arguments
+from charms_bench.cli.terminal import app, interruptible, out, say
 from charms_bench.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ WIDEST = 120
 """Most characters of the road in a terminal."""
 
 
-@app.command(rich_help_panel=FAILURES)
+@app.command(rich_help_panel=arguments.FAILURES)
 def watch(
     agent: str = typer.Argument(help="Ego: an installed agent, or the path of an ONNX file."),
     traffic: str | None = typer.Option(

@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from charms_bench.metrics.metric import EPISODES, Metric, per_episode
+from charms_bench.metrics.metric import EPISODES, Metric, per_episode, proportion_of_episodes
 
 ENDING = pl.first("ending")
 STRUCK = pl.first("struck")
@@ -23,20 +23,16 @@ def _per_1000km(kind: str, what: str, happened: pl.Expr) -> Metric:
 
 
 OF_EGO = (
-    per_episode(
+    proportion_of_episodes(
         "crashed_episodes",
-        "",
         ENDED_BADLY,
         "proportion of episodes in which the ego collides or leaves the road",
-        interval="wilson",
     ),
-    per_episode(
+    proportion_of_episodes(
         "crashed_at_fault",
-        "",
         AT_FAULT,
         "proportion of episodes in which the ego crashes and is at fault: it leaves the road, "
         "strikes a vehicle ahead, cuts in, or began last to move out of its lane",
-        interval="wilson",
     ),
     _per_1000km("crashes", "collisions of the ego and departures from the road", ENDED_BADLY),
     _per_1000km("rear_end", "rear-end collisions of the ego", ENDING == "rear_end"),
@@ -46,14 +42,12 @@ OF_EGO = (
     _per_1000km(
         "rear_end_struck", "rear-end collisions in which the ego was struck by its follower", STRUCK
     ),
-    per_episode(
+    proportion_of_episodes(
         "rear_end_striking",
-        "",
         ~STRUCK,
         "proportion of the ego's rear-end collisions in which the ego struck its leader",
         rests_on="rear-end collisions",
         counts=STRUCK.is_not_null(),
-        interval="wilson",
     ),
     _per_1000km("side", "side collisions of the ego", ENDING == "side"),
     _per_1000km("off_road", "departures of the ego from the road", ENDING == "off_road"),

@@ -40,13 +40,14 @@ def conduct_of(drivers: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def _rate(of: Sums, name: str, what: str, who: str, prefix: str = "") -> Metric:
+def _rate(of: Sums, name: str, what: str, who: str, prefix: str = "", km: int = 1000) -> Metric:
+    short, distance = ("km", "km") if km == 1 else (f"{km}km", f"{km:,} km")
     return Metric(
-        name=f"{prefix}{name}_per_1000km",
-        unit="1/1,000 km",
-        description=f"{what}, per 1,000 km driven by {who}",
+        name=f"{prefix}{name}_per_{short}",
+        unit=f"1/{distance}",
+        description=f"{what}, per {distance} driven by {who}",
         rests_on="vehicles",
-        sums=(of("vehicles"), of("distance_m") / 1e6, of(name)),
+        sums=(of("vehicles"), of("distance_m") / (1e3 * km), of(name)),
         interval="rate",
     )
 
@@ -120,13 +121,6 @@ OF_DRIVERS = (
     _per_vehicle_time(
         "harsh", "", "harsh_s", "proportion of time accelerating or braking by more than 2.5 m/s²"
     ),
-    Metric(
-        name="lane_changes_per_km",
-        unit="1/km",
-        description=f"lane changes, per km driven by {_VEHICLES}",
-        rests_on="vehicles",
-        sums=(pl.col("vehicles"), pl.col("distance_m") / 1e3, pl.col("lane_changes")),
-        interval="rate",
-    ),
+    _rate(pl.col, "lane_changes", "lane changes", _VEHICLES, km=1),
 )
 """The metrics of one driver in an episode, from its driver row alone."""

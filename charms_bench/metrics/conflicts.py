@@ -12,7 +12,7 @@ at the first such decision, with whichever vehicle.
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, per_episode
+from charms_bench.metrics.metric import Metric, per_episode, proportion_of_episodes
 from charms_bench.metrics.row_samples import Sample
 from charms_bench.metrics.rows import ANOTHER, EGO
 from charms_bench.metrics.time_to_collision import TTC
@@ -27,12 +27,10 @@ def _often(
 ) -> tuple[Metric, Metric]:
     """The proportion of episodes with conflicts of a kind, and their rate."""
     return (
-        per_episode(
+        proportion_of_episodes(
             f"{kind}_episodes",
-            "",
             driving.only(close).any(),
             f"proportion of episodes in which the {ttc} TTC is below {threshold_s:g} s",
-            interval="wilson",
         ),
         driving.per_km(
             f"{kind}s_per_1000km",

@@ -118,3 +118,14 @@ def per_episode(
 ) -> Metric:
     """The mean of a value that an episode has once, over the episodes that count."""
     return Metric(name, unit, description, rests_on, (counts, value), interval=interval)
+
+
+def proportion_of_episodes(
+    name: str,
+    happens: pl.Expr,
+    description: str,
+    rests_on: str = "episodes",
+    counts: pl.Expr = EPISODES,
+) -> Metric:
+    """The proportion of the episodes that count in which something happens."""
+    return per_episode(name, "", happens, description, rests_on, counts, "wilson")

@@ -7,7 +7,7 @@ The entering vehicle is the one that leaves the ramp of a merge, and the ego in 
 import polars as pl
 
 from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
-from charms_bench.metrics.metric import Metric, MetricSet, per_episode
+from charms_bench.metrics.metric import Metric, MetricSet, per_episode, proportion_of_episodes
 
 REACHED = ENDING == "goal"
 IS_UNDECIDABLE = ENDED_BADLY & pl.first("has_goal").is_not_null()
@@ -24,13 +24,11 @@ ROADS = MetricSet(
     name="roads",
     version=1,
     metrics=(
-        per_episode(
+        proportion_of_episodes(
             "goal_reached",
-            "",
             REACHED,
             "proportion of episodes in which the ego reaches the goal of its road, if it has one",
             counts=pl.first("has_goal").fill_null(value=False),
-            interval="wilson",
         ),
         per_episode(
             "time_to_goal",
@@ -40,14 +38,12 @@ ROADS = MetricSet(
             rests_on="episodes with the goal reached",
             counts=REACHED,
         ),
-        per_episode(
+        proportion_of_episodes(
             "fault_undecided",
-            "",
             AT_FAULT.is_null() & IS_UNDECIDABLE,
             "proportion of the ego's crashes in which nobody is found to be at fault or not",
             rests_on="crashes",
             counts=IS_UNDECIDABLE,
-            interval="wilson",
         ),
         _of_entry(
             "entry_lead_gap_m",

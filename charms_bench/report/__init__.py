@@ -6,13 +6,6 @@ if TYPE_CHECKING:
     from charms_bench.report.table import Table
 
 
-def text_of(table: "Table") -> str:
-    """The beginning of a table as text."""
-    from charms_bench.report.terminal import beginning
-
-    return beginning(table)
-
-
 def notebook_of(table: "Table") -> str:
     """A table as HTML, for a notebook."""
     from charms_bench.report.html.table import notebook

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.errors import ALL_METRICS, InputError, suggestion
 from charms_bench.metrics import MetricSet
 from charms_bench.metrics.labels import set_label_of
 from charms_bench.report.definitions import installed_column
 from charms_bench.report.number import Number
-from charms_bench.report.table import Column, Row, Table
+from charms_bench.report.table import Column, Row, Table, check_metrics
 from charms_bench.runs.cells import title_of
 from charms_bench.runs.pairing import Pair
 from charms_bench.statistics.intervals import CONFIDENCE, resample
@@ -53,17 +52,10 @@ def compare(
     """Every metric of every pair, first minus second, one metric per row.
 
     The pairs are from `runs.pairing.pairs_of`, and the seed is that of the resamples. `only` names
-    metrics, in every set that has them; none means all.
-
-    Raises:
-        InputError: There is no metric of such a name.
+    metrics, in every set that has them; none means all. An `InputError` if there is no such metric.
     """
     every = [(each.label, metric) for each in metric_sets for metric in each.metrics]
-    known = {metric.name: metric for _, metric in every}
-    for name in only:
-        if name not in known:
-            said = suggestion(name, known, ALL_METRICS)
-            raise InputError(f"no metric named '{name}'. {said}")
+    check_metrics(only, {metric.name: metric for _, metric in every})
     chosen = [(label, metric) for label, metric in every if not only or metric.name in only]
     metrics = [metric for _, metric in chosen]
     keys = WITH_ROAD if pairs[0][0].road else KEYS

@@ -63,11 +63,7 @@ def rare_table(
 
 
 def stored_rare(folder: Path) -> Table:
-    """The table in the folder of an estimation.
-
-    Raises:
-        RunFolderError: It is not finished, or a file cannot be used.
-    """
+    """The table in the folder of an estimation; a `RunFolderError` if it cannot be used."""
     manifest = read_manifest(folder / MANIFEST)
     paths = sorted((folder / "tables").glob("*.csv"))
     if not paths:

@@ -47,11 +47,7 @@ class RunTables:
 
 
 def holds(folder: Path, name: str) -> bool:
-    """Whether a run folder has a file of this name.
-
-    Raises:
-        RunFolderError: There is no such folder, it may not be read, or no folder can have its name.
-    """
+    """Whether a run folder has a file of this name; a `RunFolderError` if it cannot be read."""
     try:
         if not folder.is_dir():
             raise RunFolderError(f"{folder}: no such folder")
@@ -63,8 +59,7 @@ def holds(folder: Path, name: str) -> bool:
 def stored_tables(folder: Path, suite: Suite) -> RunTables:
     """The tables in the folder of a suite's run.
 
-    Raises:
-        RunFolderError: The table of metrics, which every run has, is missing, or one is damaged.
+    A `RunFolderError` if that of metrics, which every run has, is missing, or one is damaged.
     """
     start = folder / "tables" / suite.suite
     kinds = (
@@ -90,11 +85,7 @@ def stored_tables(folder: Path, suite: Suite) -> RunTables:
 
 
 def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
-    """A CSV file with exactly these columns; see `read_csv`.
-
-    Raises:
-        RunFolderError: It cannot be read, or has other columns.
-    """
+    """A CSV file with exactly these columns; a `RunFolderError` for others. See `read_csv`."""
     table = read_csv(path, schema)
     if table.columns != list(schema):
         raise RunFolderError(
@@ -106,8 +97,7 @@ def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
 def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.DataFrame:
     """A CSV file that can be shown; a number that is not finite becomes null.
 
-    Raises:
-        RunFolderError: It cannot be read, or has control characters in it.
+    A `RunFolderError` if it cannot be read, or has control characters in it.
     """
     data = read_file(path, TABLE_LIMIT_BYTES)
     if is_compressed(data):

@@ -6,7 +6,7 @@ from dataclasses import astuple, replace
 import polars as pl
 
 from charms_bench.metrics import PAPER, MetricSet
-from charms_bench.report import first_speeds, left_out
+from charms_bench.report import left_out
 from charms_bench.report.definitions import columns_of, installed_column
 from charms_bench.report.number import Number
 from charms_bench.report.table import ESTIMATE, Row, Table, long_frame
@@ -59,6 +59,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
 
     Without metric sets, the definitions of its columns are those of the installed sets.
     """
+    notes = (suite.note, left_out.said_of(frame, "metric"), first_speeds(suite), time_over(frame))
     described = [each for found in metric_sets for each in columns_of(found).values()]
     columns = {(each.group, each.name): each for each in described}
     return Table.from_frame(
@@ -68,14 +69,27 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
         suite.with_road(KEYS),
         LONG,
         (lambda *names: columns[names]) if columns else installed_column,
-        note=" ".join(filter(None, _said_of(frame, suite))),
+        note=" ".join(filter(None, notes)),
         reference="paper",
     )
 
 
-def _said_of(frame: pl.DataFrame, suite: Suite) -> tuple[str, ...]:
-    others = left_out.said_of(frame, "metric"), first_speeds.said_of(suite)
-    return (suite.note, *others, time_over(frame))
+def first_speeds(suite: Suite) -> str:
+    """Says on which roads policies choose lower target speeds than the profile's; empty if none."""
+    if not suite.roads:
+        return ""
+    from charms_bench.roads.settings import profiles_of  # slow to import
+
+    least = suite.scene.profile.target_speed_min_mps
+    scenes = {each.road.title: each.scene for each in suite.cells if each.road is not None}
+    begin = {title: profiles_of(scene)[0].target_speed_min_mps for title, scene in scenes.items()}
+    lower = ", ".join(
+        f"{speed:.3g} m/s on {title}" for title, speed in begin.items() if speed < least
+    )
+    return lower and (
+        "The target speeds of policies begin at the ego's first speed where it is below the "
+        f"{least:g} m/s of the profile: {lower}."
+    )
 
 
 def time_over(frame: pl.DataFrame) -> str:

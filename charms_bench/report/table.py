@@ -49,6 +49,13 @@ def long_frame(
     return frame.with_columns(rounded)
 
 
+def check_metrics(names: Iterable[str], known: Mapping[str, object]) -> None:
+    """Raises an `InputError` if one of the names is not a known metric's."""
+    for name in names:
+        if name not in known:
+            raise InputError(f"no metric named '{name}'. {suggestion(name, known, ALL_METRICS)}")
+
+
 @dataclass(frozen=True)
 class Column:
     """What the numbers of a column are."""
@@ -210,11 +217,7 @@ class Table:
             InputError: No column has such a name.
         """
         places = {(column.group, column.name): i for i, column in enumerate(self.columns)}
-        known = {name: None for _, name in places}
-        for name in names:
-            if name not in known:
-                said = suggestion(name, known, ALL_METRICS)
-                raise InputError(f"no metric named '{name}'. {said}")
+        check_metrics(names, {name: None for _, name in places})
         groups = dict.fromkeys(group for group, _ in places)
         chosen = [(group, name) for group in groups for name in names if (group, name) in places]
         return self.take([places[each] for each in chosen])
@@ -289,7 +292,9 @@ class Table:
 
     def __str__(self) -> str:
         """The beginning of the table as text; `select` and `frame` give the rest."""
-        return views.text_of(self)
+        from charms_bench.report.terminal import beginning
+
+        return beginning(self)
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""

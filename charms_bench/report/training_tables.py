@@ -104,8 +104,7 @@ class Training:
 def stored_training(folder: Path) -> Training:
     """The tables of a training, those that its run folder has.
 
-    Raises:
-        RunFolderError: One cannot be read, or does not say which stage a row belongs to.
+    A `RunFolderError` if one cannot be read, or does not say which stage a row belongs to.
     """
     columns = ColumnsFile()
     if holds(folder, COLUMNS):

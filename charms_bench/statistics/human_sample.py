@@ -4,25 +4,16 @@ A unit is a recording or a vehicle: values of one driver depend on each other, a
 drivers in the same traffic jam.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from charms_bench.statistics.intervals import CONFIDENCE, NO_BOUNDS, RESAMPLES, Bounds
 from charms_bench.world.scene import Floats
 
 
-class PerfectSamples(NamedTuple):
-    """Samples as small as that of the humans, from a distribution that is known."""
+def perfect_samples(units: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """The smoothed distribution [K] of the humans, and samples of it as small as that of them.
 
-    truth: Floats
-    """[K] proportions."""
-    samples: Floats
-    """[RESAMPLES, K] counts."""
-
-
-def perfect_samples(units: Floats, rng: np.random.Generator) -> PerfectSamples:
-    """Samples of as many units as were recorded, from the smoothed distribution of the humans.
+    The samples [RESAMPLES, K] are counts of as many units as were recorded.
 
     It is the smoothed bootstrap (Silverman & Young 1987, Biometrika 74): each unit is drawn at
     random and moved as a whole by a normal deviate. Without smoothing, a truth that consists of a
@@ -45,7 +36,7 @@ def perfect_samples(units: Floats, rng: np.random.Generator) -> PerfectSamples:
         moved = np.rint(rng.normal(0.0, bandwidth, (count, 1))).astype(np.int64)
         at = np.clip(places + moved, 0, bins - 1)
         sample[:] = np.bincount(at.ravel(), drawn.ravel(), minlength=bins)
-    return PerfectSamples(truth, samples)
+    return truth, samples
 
 
 def around(value: float, resampled: Floats, units: int) -> Bounds:

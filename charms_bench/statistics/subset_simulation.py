@@ -17,6 +17,7 @@ Comput. 22, algorithm with fixed levels).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +63,7 @@ class SubsetRun:
         return math.prod(self.shares)
 
 
-@dataclass(frozen=True)
-class _Points:
+class _Points(NamedTuple):
     """Points of runs side by side."""
 
     normal: Floats
@@ -214,8 +214,8 @@ def _grow(
     Returns the points of all chains, the proportion of accepted moves (A,), and the step size,
     which follows the accepted moves if it is to adapt.
     """
-    normal, seeds, levels = points.normal, points.seeds, points.levels
-    grown = [(normal, seeds, levels)]
+    normal, seeds, levels = points
+    grown = [points]
     moves = np.zeros(len(levels))
     for step in range(1, length):
         kept = math.sqrt(1 - size**2)
@@ -227,7 +227,7 @@ def _grow(
         normal = np.where(accepted[..., None], candidate, normal)
         seeds = np.where(accepted, new_seeds, seeds)
         levels = np.where(accepted, new_levels, levels)
-        grown.append((normal, seeds, levels))
+        grown.append(_Points(normal, seeds, levels))
         moves += accepted.mean(axis=1) / (length - 1)
         if adapt:
             share = float(accepted.mean())

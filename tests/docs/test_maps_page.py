@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from written import ROOT, blocks
+from written import ROOT, blocks, execute
 
 from charms_bench.maps.reading import read_road
 from charms_bench.roads.layout import Layout
@@ -19,8 +19,7 @@ def test_the_code_of_the_page_runs(
     (tmp_path / "docs").mkdir()
     shutil.copy(ROOT / "docs" / "ramp.xodr", tmp_path / "docs")
     monkeypatch.chdir(tmp_path)
-    parts = [block.text for block in blocks(PAGE) if block.language == "python"]
-    exec(compile("\n".join(parts), PAGE.name, "exec"), {"__name__": "page"})
+    execute(PAGE)
     assert (tmp_path / "copy.json").exists()
     printed = capsys.readouterr().out.splitlines()
     # The ramp's lane follows the reference line, which is 160 m long, at 1.75 m to its right.

@@ -1,14 +1,11 @@
 """`docs/bring-your-own-road.md`: a map becomes a table and a film with the page alone."""
 
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from PIL import Image
-from written import ROOT, blocks, commands
+from written import ROOT, blocks, commands, execute, run
 
 PAGE = ROOT / "docs" / "bring-your-own-road.md"
 
@@ -20,19 +17,10 @@ def test_the_page_leads_from_a_map_to_a_table_and_a_film(
     shutil.copy(ROOT / "docs" / "ramp.xodr", tmp_path / "docs")
     suite, _ = (block.text for block in blocks(PAGE) if block.language == "yaml")
     (tmp_path / "my-road.yaml").write_text(suite, encoding="utf-8")
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    environment = {**os.environ, "PATH": path, "COLUMNS": "100"}
     said = {}
     for block in blocks(PAGE):
         for command in commands(block):
-            done = subprocess.run(
-                ["bash", "-c", command],
-                cwd=tmp_path,
-                env=environment,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
+            done = run(command, tmp_path)
             said[command] = done.stdout + done.stderr
             assert done.returncode == 0, said[command]
     assert "collisions in 1,000 km" in next(text for key, text in said.items() if " drive " in key)
@@ -41,6 +29,5 @@ def test_the_page_leads_from_a_map_to_a_table_and_a_film(
     assert film.name in PAGE.read_text(encoding="utf-8")
     with Image.open(film) as pictures:
         assert getattr(pictures, "n_frames", 1) > 10
-    code = [block.text for block in blocks(PAGE) if block.language == "python"]
     monkeypatch.chdir(tmp_path)
-    exec(compile("\n".join(code), PAGE.name, "exec"), {"__name__": "page"})
+    execute(PAGE)

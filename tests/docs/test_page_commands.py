@@ -1,15 +1,12 @@
 """Every command of every page runs, shortened, in a copy of the project."""
 
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from trios import busy_road, write_trio
-from written import PAGES, ROOT, blocks, commands
+from written import PAGES, ROOT, blocks, commands, run, scripts
 
 pytestmark = pytest.mark.slow
 
@@ -64,8 +61,6 @@ NOT_RUN = {
         ),
         "tests/agents/test_trained_in_highway_env.py trains and exports such a network",
     ),
-    "charms-bench run ego --agent mine.onnx --agent NETWORKS/seed-3012/ppo.onnx "
-    "--agent NETWORKS/seed-3012/dqn.onnx": "it is not trained here",
 }
 """Commands that are not run here, with the reason."""
 SHORTENED = [
@@ -133,22 +128,13 @@ def shortened(command: str) -> str:
 
 
 def test_every_command_of_every_page_succeeds(project: Path) -> None:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    environment = {**os.environ, "PATH": path, "COLUMNS": "100"}
     done: set[str] = set(NOT_RUN)
     failed = []
     for page in (page for page in PAGES if page.name not in ELSEWHERE):
         for block in blocks(page):
             for command in (each for each in commands(block) if each not in done):
                 done.add(command)
-                finished = subprocess.run(
-                    ["bash", "-c", shortened(command)],
-                    cwd=project,
-                    env=environment,
-                    capture_output=True,
-                    text=True,
-                    check=False,
-                )
+                finished = run(shortened(command), project)
                 said = finished.stdout + finished.stderr
                 if finished.returncode or re.search(f"Traceback|{CONTROL_CODES}", said):
                     failed.append(f"{page.name}:{block.line}: {command}\n{said}")
@@ -164,5 +150,4 @@ def test_commands_that_are_not_run_here_are_on_a_page_or_run_by_the_named_test()
 
 
 def test_a_test_runs_the_python_code_of_every_page() -> None:
-    with_code = {page.name for page in PAGES for each in blocks(page) if each.language == "python"}
-    assert with_code <= set(CODE_OF)
+    assert {page.name for page in PAGES if scripts(page)} <= set(CODE_OF)

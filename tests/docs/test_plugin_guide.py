@@ -1,6 +1,5 @@
 """Every example of `docs/plugins.md` runs, in the order of the page."""
 
-import re
 import shlex
 import sys
 from pathlib import Path
@@ -8,12 +7,13 @@ from pathlib import Path
 import pytest
 from command_line import charms_bench
 from plugin_folder import installed, python
+from written import ROOT, blocks
 
-GUIDE = Path(__file__).parents[2] / "docs" / "plugins.md"
+GUIDE = list(blocks(ROOT / "docs" / "plugins.md"))
 
 
 def examples(language: str) -> str:
-    return "\n\n".join(re.findall(rf"```{language}\n(.*?)```", GUIDE.read_text(), re.DOTALL))
+    return "\n\n".join(block.text for block in GUIDE if block.language == language)
 
 
 @pytest.fixture
@@ -47,5 +47,4 @@ def test_the_tests_of_the_guide_pass(folder: Path) -> None:
 
 
 def test_the_guide_has_no_example_that_is_not_run() -> None:
-    languages = re.findall(r"^```(\w*)$", GUIDE.read_text(), re.MULTILINE)[::2]
-    assert set(languages) == {"python", "toml", "yaml", "sh"}
+    assert {block.language for block in GUIDE} == {"python", "toml", "yaml", "sh"}

@@ -5,14 +5,13 @@ import shutil
 from pathlib import Path
 
 import pytest
-from written import ROOT, blocks
+from written import ROOT, execute, scripts
 
 
 def code_of(page: Path) -> str:
     """The Python blocks of a page that use `charms_bench`, with fewer episodes."""
-    parts = [block.text for block in blocks(page) if block.language == "python"]
     # The README's other block is a training, which test_your_policy.py runs.
-    code = "\n".join(part for part in parts if "PPO" not in part)
+    code = "\n".join(part for part in scripts(page) if "PPO" not in part)
     shortened, changed = re.subn(r"episodes=\d+", "episodes=4", code)
     assert changed == 1, "the page runs one suite"
     return shortened
@@ -24,23 +23,19 @@ def test_the_code_of_the_page_runs(
 ) -> None:
     shutil.copytree(ROOT / "suites", tmp_path / "suites")
     monkeypatch.chdir(tmp_path)
-    exec(compile(code_of(ROOT / page), page, "exec"), {"__name__": "page"})
+    execute(ROOT / page, code_of(ROOT / page))
     assert list(tmp_path.glob("*.gif")), "a replay was drawn"
     assert page == "README.md" or (tmp_path / "state.json").exists()
     assert "IDM+MOBIL" in capsys.readouterr().out
 
 
 def test_the_code_about_highway_envs_other_roads_runs() -> None:
-    page = ROOT / "docs" / "highway-env-roads.md"
-    parts = [block.text for block in blocks(page) if block.language == "python"]
-    exec(compile("\n".join(parts), page.name, "exec"), {"__name__": "page"})
+    execute(ROOT / "docs" / "highway-env-roads.md")
 
 
 def test_the_code_about_training_on_highway_envs_roads_runs() -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
     page = ROOT / "docs" / "train-on-roads.md"
-    for block in blocks(page):
-        if block.language == "python":
-            assert block.text.count("model.learn(") == 1
-            text = re.sub(r"model\.learn\(.*\)", "model.learn(220)", block.text)
-            exec(compile(text, page.name, "exec"), {"__name__": "page"})
+    for script in scripts(page):
+        assert script.count("model.learn(") == 1
+        execute(page, re.sub(r"model\.learn\(.*\)", "model.learn(220)", script))

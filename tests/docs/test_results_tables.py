@@ -2,13 +2,16 @@
 
 import math
 import re
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import polars as pl
 import pytest
+from rare_comparison import rare_comparison
+from reproduction import side_by_side, with_verdicts
+from result_pages import BLOCK, RESULTS, filled
+from run_results import how_late
+from suite_results import EGO, shown
+from write_results import TABLES
 from written import PAGES, ROOT
 
 from charms_bench.episodes.avoidability import Avoidability
@@ -21,45 +24,27 @@ NUMBERS = ("value", "low", "high")
 REPRODUCTIONS = ("reproduction-ego", "reproduction-styles", "reproduction-environment")
 
 
-@pytest.fixture(scope="module")
-def tool() -> Iterator[SimpleNamespace]:
-    sys.path.insert(0, str(ROOT / "tools"))
-    import rare_comparison
-    import reproduction
-    import result_pages
-    import run_results
-    import suite_results
-    import write_results
-
-    modules = (rare_comparison, reproduction, result_pages, run_results, suite_results)
-    made = SimpleNamespace(TABLES=write_results.TABLES)
-    for module in modules:
-        vars(made).update(vars(module))
-    yield made
-    sys.path.remove(str(ROOT / "tools"))
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_a_page_has_the_tables_that_were_written_last(tool: SimpleNamespace, page: Path) -> None:
+def test_a_page_has_the_tables_that_were_written_last(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    assert tool.filled(text) == text, "python tools/write_results.py RUNS"
+    assert filled(text) == text, "python tools/write_results.py RUNS"
 
 
-def test_every_table_is_on_a_page(tool: SimpleNamespace) -> None:
+def test_every_table_is_on_a_page() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    used = {found[2] for found in tool.BLOCK.finditer(text)}
+    used = {found[2] for found in BLOCK.finditer(text)}
     # Other tools write the others: rare_coverage.py, rare_comparison.py, likeness_page, mutants.
-    written = {*tool.TABLES, "rare-coverage", "rare-intervals", "mutants", "mutants-ladders",
+    written = {*TABLES, "rare-coverage", "rare-intervals", "mutants", "mutants-ladders",
                "mutants-repetitions", "mutants-repeated-faults"}  # fmt: skip
     # Those of the plan were written once, by the commit that docs/training-plan.md names.
-    written |= {path.stem for path in tool.RESULTS.glob("plan-*.md")}
+    written |= {path.stem for path in RESULTS.glob("plan-*.md")}
     written |= {f"likeness-{road}{part}" for road in ("i24", "i75", "released")
                 for part in ("", "-conduct")}  # fmt: skip
     written |= {"likeness-controls-i24", "likeness-controls-i75"}
-    assert used == written == {path.stem for path in tool.RESULTS.glob("*.md")}
+    assert used == written == {path.stem for path in RESULTS.glob("*.md")}
 
 
-def test_a_number_has_its_interval_and_the_papers_value(tool: SimpleNamespace) -> None:
+def test_a_number_has_its_interval_and_the_papers_value() -> None:
     rows = [
         ("IDM", "mixed", "paper-2", "speed_mean", 23.676, 23.6, 23.7, 100, 23.67),
         ("IDM", "mixed", "standard-5", "speed_mean", 25.0, 24.9, 25.1, 100, None),
@@ -67,17 +52,12 @@ def test_a_number_has_its_interval_and_the_papers_value(tool: SimpleNamespace) -
         ("other", "mixed", "paper-2", "speed_mean", None, None, None, 0, None),
         ("other", "mixed", "standard-5", "crashed_episodes", 0.0, None, None, 100, None),
     ]
-    suite = {
-        "suite": "s",
-        "episodes": 1,
-        "egos": [{"agent": "a"}],
-        "traffic_models": [{"traffic": "t"}],
-    }
+    suite = {"suite": "s", "episodes": 1}
+    suite |= {"egos": [{"agent": "a"}], "traffic_models": [{"traffic": "t"}]}
     long = pl.DataFrame(rows, schema=long_schema(KEYS, LONG), orient="row")
     table = from_frame(long, Suite.model_validate(suite))
-    columns = {name: tool.EGO[name] for name in ("episodes crashed", "speed, m/s")}
-    shown = tool.shown(table, columns)
-    assert markdown(shown).splitlines() == [
+    columns = {name: EGO[name] for name in ("episodes crashed", "speed, m/s")}
+    assert markdown(shown(table, columns)).splitlines() == [
         "| agent | episodes crashed | speed, m/s (paper) |",
         "|---|---:|---:|",
         "| IDM | 3.0 % [2.3, 3.9] | 23.68 (23.67) |",
@@ -85,7 +65,7 @@ def test_a_number_has_its_interval_and_the_papers_value(tool: SimpleNamespace) -
     ]
 
 
-def test_collisions_are_counted_by_the_decisions_that_were_left(tool: SimpleNamespace) -> None:
+def test_collisions_are_counted_by_the_decisions_that_were_left() -> None:
     fields = {"ego": "A", "traffic": "T", "ending": "side", "replacement": None, "nodes": 1}
     fields |= {"collided_s": 9.9}
     found = [
@@ -101,15 +81,13 @@ def test_collisions_are_counted_by_the_decisions_that_were_left(tool: SimpleName
             ]
         )
     ]
-    words, late, who = tool.how_late(found, 3).split("\n\n")
+    words, late, who = how_late(found, 3).split("\n\n")
     assert words.startswith("4 collisions of the ego: 3 avoidable")
     assert late.splitlines()[2:] == ["| 1 | 0.33 | 1 |", "| 5 | 1.67 | 2 |"]
     assert who.splitlines()[2:] == ["| b | 2 | 3 |", "| c | 1 | 3 |"]
 
 
-def test_the_table_of_rare_events_compares_at_equal_width(
-    tool: SimpleNamespace, tmp_path: Path
-) -> None:
+def test_the_table_of_rare_events_compares_at_equal_width(tmp_path: Path) -> None:
     # Width of an interval of n plain episodes of probability p: exp(2 * 1.96 / sqrt(n p)) between
     # its ends. Ends a factor of e apart give n = (2 * 1.96)**2 / p = 15.4 / p, with p = 1e-4.
     tables = tmp_path / "rare" / "tables"
@@ -118,22 +96,20 @@ def test_the_table_of_rare_events_compares_at_equal_width(
     rows += [("episodes", 30_800, None, None, None)]
     table = pl.DataFrame(rows, schema=["name", "value", "low", "high", "n"], orient="row")
     table.write_csv(tables / "rare-rare-crash.csv")
-    *_, line = tool.rare_comparison(tmp_path / "rare").splitlines()
+    *_, line = rare_comparison(tmp_path / "rare").splitlines()
     assert line == (
         "| `charms-bench rare` | 1.00e-04 [6.07e-05, 1.65e-04] | 30,800 | 150,000 | 4.9 |"
     )
 
 
 @pytest.mark.parametrize("name", REPRODUCTIONS)
-def test_a_table_of_the_reproduction_is_that_of_its_numbers(
-    tool: SimpleNamespace, name: str
-) -> None:
-    numbers = pl.read_csv(tool.RESULTS / f"{name}.csv")
-    written = (tool.RESULTS / f"{name}.md").read_text(encoding="utf-8")
-    assert tool.side_by_side(numbers) == written
+def test_a_table_of_the_reproduction_is_that_of_its_numbers(name: str) -> None:
+    numbers = pl.read_csv(RESULTS / f"{name}.csv")
+    written = (RESULTS / f"{name}.md").read_text(encoding="utf-8")
+    assert side_by_side(numbers) == written
 
 
-def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much(tool: SimpleNamespace) -> None:
+def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much() -> None:
     parts = [f"{source}_{part}" for source in ("released", "ours") for part in NUMBERS]
     columns = ["agent", "metric", "paper", *parts]
     rows = [
@@ -143,10 +119,10 @@ def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much(tool: SimpleNa
         ("B", "speed_mean", 23.67, 23.6, 23.47, 23.73, 23.668, None, None),
         ("B", "crashed_episodes", None, 0.25, 0.2, 0.3, None, None, None),
     ]
-    numbers = tool.with_verdicts(pl.DataFrame(rows, schema=columns, orient="row"))
+    numbers = with_verdicts(pl.DataFrame(rows, schema=columns, orient="row"))
     assert numbers["released_agrees"].to_list() == ["yes", "yes", None]
     assert numbers["ours_agrees"].to_list() == ["no, 5.5", "yes", None]
-    *table, empty, summary = tool.side_by_side(numbers).splitlines()
+    *table, empty, summary = side_by_side(numbers).splitlines()
     assert not empty
     assert summary == (
         "Of the values of the authors' networks, 2 of 2 agree with the paper; of this project's, "

@@ -3,17 +3,13 @@
 `tox -e libraries` has the libraries. The scripts run as they are, except for fewer training steps.
 """
 
-import os
-import shlex
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
-from written import ROOT, blocks, commands
+from written import ROOT, blocks, commands, run, scripts
 
 import charms_bench.envs  # noqa: F401  # registers charms_bench/Ego-v0
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -34,20 +30,8 @@ NEEDED = {
 """The policies of the page, and the library of each."""
 
 
-def scripts() -> list[str]:
-    return [block.text for block in blocks(PAGE) if block.language == "python"]
-
-
-def run(command: list[str], folder: Path) -> str:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def said(command: str, folder: Path) -> str:
+    done = run(command, folder)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -55,7 +39,7 @@ def run(command: list[str], folder: Path) -> str:
 def train(script: str, folder: Path) -> None:
     assert script.count(STEPS) == 1, "a script states its steps once"
     (folder / "script.py").write_text(script.replace(STEPS, FEWER), encoding="utf-8")
-    run([sys.executable, "script.py"], folder)
+    said("python script.py", folder)
 
 
 def mean_return(policy: OnnxPolicy | None) -> float:
@@ -80,19 +64,19 @@ def mean_return(policy: OnnxPolicy | None) -> float:
 def test_what_a_script_has_trained_drives_better_than_chance(name: str, tmp_path: Path) -> None:
     pytest.importorskip(NEEDED[name], reason="`tox -e libraries` has it")
     stem = name.removesuffix(".onnx")
-    (script,) = (each for each in scripts() if f'"{stem}.zip"' in each or f'"{name}"' in each)
+    (script,) = (each for each in scripts(PAGE) if f'"{stem}.zip"' in each or f'"{name}"' in each)
     train(script, tmp_path)
     for command in (line for block in blocks(PAGE) for line in commands(block)):
         if f" {stem}.zip " in command:
-            run(command.split(), tmp_path)
+            said(command, tmp_path)
     for policy in tmp_path.glob("*.onnx"):
         assert mean_return(OnnxPolicy(policy)) > mean_return(None)
 
 
 def test_a_recurrent_network_of_torch_is_a_policy_with_memory(tmp_path: Path) -> None:
-    (script,) = (each for each in scripts() if "gru.onnx" in each)
+    (script,) = (each for each in scripts(PAGE) if "gru.onnx" in each)
     (tmp_path / "script.py").write_text(script, encoding="utf-8")
-    run([sys.executable, "script.py"], tmp_path)
+    said("python script.py", tmp_path)
     policy = OnnxPolicy(tmp_path / "gru.onnx")
     assert (policy.memory_width, policy.noise_draws) == (64, 0)
     mean_return(policy)
@@ -101,7 +85,7 @@ def test_a_recurrent_network_of_torch_is_a_policy_with_memory(tmp_path: Path) ->
 def test_a_policy_that_learns_is_filmed(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3", reason="`tox -e libraries` has it")
     moviepy = pytest.importorskip("moviepy", reason="`tox -e libraries` has it")
-    (script,) = (each for each in scripts() if "RecordVideo" in each)
+    (script,) = (each for each in scripts(PAGE) if "RecordVideo" in each)
     train(script, tmp_path)
     videos = sorted((tmp_path / "videos").glob("*.mp4"))
     assert len(videos) == 64_000 // 32_000
@@ -115,7 +99,7 @@ def test_the_time_of_a_picture_is_measured(tmp_path: Path) -> None:
     (command,) = (
         line for block in blocks(PAGE) for line in commands(block) if line.startswith("python -m")
     )
-    assert "per loop" in run([sys.executable, *shlex.split(command)[1:]], tmp_path)
+    assert "per loop" in said(command, tmp_path)
 
 
 def test_the_speed_of_every_library_is_measured(tmp_path: Path) -> None:
@@ -128,6 +112,6 @@ def test_the_speed_of_every_library_is_measured(tmp_path: Path) -> None:
     (tmp_path / "docs" / PAGE.name).write_text(text, encoding="utf-8")
     tool = (ROOT / "tools" / "library_speed.py").read_text(encoding="utf-8")
     (tmp_path / "tools" / "library_speed.py").write_text(tool, encoding="utf-8")
-    lines = run([sys.executable, "tools/library_speed.py"], tmp_path).splitlines()
+    lines = said("python tools/library_speed.py", tmp_path).splitlines()
     assert len(lines) == len(NEEDED) - 2  # MaskablePPO and RecurrentPPO are not in the table
     assert all("decisions per second" in line for line in lines)

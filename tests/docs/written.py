@@ -1,6 +1,9 @@
-"""The contents of the project's pages: fenced blocks, commands, code spans."""
+"""The contents of the project's pages: fenced blocks, commands, code spans; and how they run."""
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +35,25 @@ def blocks(page: Path) -> Iterator[Block]:
     for found in FENCE.finditer(written):
         line = written.count("\n", 0, found.start()) + 2
         yield Block(page, line, found[2].partition(" ")[0], found[3])
+
+
+def scripts(page: Path) -> list[str]:
+    """The Python code of each block of a page that has some."""
+    return [block.text for block in blocks(page) if block.language == "python"]
+
+
+def execute(page: Path, *parts: str) -> None:
+    """Runs Python code of a page, by default all of it."""
+    exec(compile("\n".join(parts or scripts(page)), page.name, "exec"), {"__name__": "page"})
+
+
+def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Runs a command of a page in a folder."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    environment = {**os.environ, "PATH": path, "COLUMNS": "100"}
+    return subprocess.run(
+        ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True
+    )
 
 
 def commands(block: Block) -> list[str]:

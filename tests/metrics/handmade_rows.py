@@ -5,7 +5,7 @@ from typing import Any
 import polars as pl
 
 from charms_bench.metrics import PAPER, Metric, MetricSet, standard, sums_by_episode
-from charms_bench.recording.columns import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.recording.columns import DRIVER_SCHEMA, EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.world.scene import SceneSettings
 
 Rows = list[dict[str, Any]]
@@ -43,6 +43,12 @@ def frames(*episodes: Episode) -> tuple[pl.DataFrame, pl.DataFrame]:
             for step, row in enumerate(steps, start=1)
         ]
     return pl.DataFrame(heads, schema=EPISODE_SCHEMA), pl.DataFrame(rows, schema=STEP_SCHEMA)
+
+
+def driver(episode: int, agent: str, is_ego: bool = False, **sums: float) -> dict[str, Any]:
+    """A driver row; what is not given is quiet or 0."""
+    quiet = dict.fromkeys(DRIVER_SCHEMA, 0) | {"vehicles": 1, "distance_m": 500.0, "time_s": 20.0}
+    return quiet | {"episode": episode, "agent": agent, "is_ego": is_ego, **sums}
 
 
 def measure(metric: Metric, *episodes: Episode, settings: SceneSettings = SCENE) -> float:

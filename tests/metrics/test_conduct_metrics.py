@@ -3,7 +3,7 @@
 import numpy as np
 import polars as pl
 import pytest
-from handmade_rows import SCENE, frames
+from handmade_rows import SCENE, driver, frames
 
 from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
 from charms_bench.metrics.rows import LANE_CHANGE_WINDOW_S
@@ -11,11 +11,6 @@ from charms_bench.recording import encroachment, lane_changes
 from charms_bench.recording.columns import DRIVER_SCHEMA
 
 METRICS = {metric.name: metric for metric in METRIC_SETS[-1].metrics}
-
-
-def driver(episode: int, agent: str, is_ego: bool, **sums: float) -> dict[str, object]:
-    quiet = dict.fromkeys(DRIVER_SCHEMA, 0) | {"vehicles": 1, "distance_m": 500.0, "time_s": 20.0}
-    return quiet | {"episode": episode, "agent": agent, "is_ego": is_ego, **sums}
 
 
 DRIVERS = pl.DataFrame(

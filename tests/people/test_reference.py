@@ -1,8 +1,8 @@
 """Human driving as histograms."""
 
-import importlib.util
 from pathlib import Path
 
+import make_references
 import numpy as np
 import pytest
 from trios import Row, write_trio
@@ -90,12 +90,6 @@ def test_a_folder_without_recordings_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not DATA.exists(), reason=f"no recordings in {DATA}")
 def test_the_shipped_histograms_are_made_from_the_recordings(tmp_path: Path) -> None:
-    path = PROJECT / "tools" / "make_references.py"
-    spec = importlib.util.spec_from_file_location("make_references", path)
-    assert spec is not None
-    assert spec.loader is not None
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
-    tool.main(DATA, tmp_path)
+    make_references.main(DATA, tmp_path)
     made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert made == {path.name: path.read_bytes() for path in REFERENCES.iterdir()}

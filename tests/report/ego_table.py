@@ -1,4 +1,4 @@
-"""A table of a suite as its file has it, and the suite."""
+"""A suite, and its table as a file has it."""
 
 from charms_bench.runs.suite import Suite
 

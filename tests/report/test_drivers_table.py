@@ -6,28 +6,14 @@ from typing import Any
 import polars as pl
 import pytest
 from command_line import charms_bench
+from ego_table import SUITE
+from handmade_rows import driver
 
 from charms_bench import open_run
 from charms_bench.metrics.conduct import OF_DRIVERS
 from charms_bench.recording.columns import DRIVER_SCHEMA
 from charms_bench.report.drivers_table import from_frame, part_of
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.suite import Suite
-
-SUITE = Suite.model_validate(
-    {
-        "suite": "mixed",
-        "episodes": 3,
-        "egos": [{"agent": "a"}],
-        "traffic_models": [{"traffic": "t"}],
-    }
-)
-
-
-def driver(episode: int, agent: str, is_ego: bool = False, **sums: float) -> dict[str, object]:
-    quiet = dict.fromkeys(DRIVER_SCHEMA, 0) | {"vehicles": 1, "distance_m": 500.0, "time_s": 20.0}
-    return quiet | {"episode": episode, "agent": agent, "is_ego": is_ego, **sums}
-
 
 PARTS = [
     [driver(0, "a", True), driver(0, "a", vehicles=3, crashed=1), driver(1, "a", True)],

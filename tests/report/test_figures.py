@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from ego_table import SUITE
 from handmade_replay import replay_of
 
 from charms_bench.episodes.ego_view import ego_view
@@ -21,12 +22,7 @@ from charms_bench.report.markdown import markdown
 from charms_bench.report.suite_table import KEYS, LONG, from_frame, matrices
 from charms_bench.report.table import Table, long_schema
 from charms_bench.runs.cells import TrafficCounts
-from charms_bench.runs.suite import Suite
 from charms_bench.world.following import BINS
-
-SUITE = Suite.model_validate(
-    {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffic_models": [{"traffic": "t"}]}
-)
 
 
 def table(*rows: tuple[str, str, str, float | None]) -> Table:
@@ -130,13 +126,13 @@ def test_a_darker_field_is_higher_and_equal_proportions_are_equally_dark() -> No
         values = mesh.get_array()
         tones = mesh.to_rgba(values)[..., :3].sum(axis=-1)
         light[matrix.name] = dict(zip(values.flat, tones.flat, strict=True))
-    crashed, traffic, speed = (light[f"s-{name}"] for name in names[:3])
+    crashed, traffic, speed = (light[f"ego-{name}"] for name in names[:3])
     assert crashed[50.0] < crashed[25.0] < crashed[10.0]
     assert all(traffic[each] == crashed[each] for each in (10.0, 20.0, 25.0, 50.0))
     assert speed[33.0] < speed[25.0] < speed[20.0]
     assert "1,900.0" in "".join(map(markdown, found))
     worse = {each.name for each in found if "worse: higher" in reading(each)}
-    assert worse == {f"s-{name}" for name in names if name != "speed_mean"}
+    assert worse == {f"ego-{name}" for name in names if name != "speed_mean"}
 
 
 def test_the_timelines_of_two_futures_share_their_axes_up_to_the_later_end() -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import ego_table
 import numpy as np
 import polars as pl
 import pytest
@@ -23,21 +24,12 @@ from charms_bench.report.realism_table import (
 from charms_bench.report.run_files import write_table
 from charms_bench.report.table import long_schema
 from charms_bench.runs.cells import TrafficCounts
-from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import RESAMPLES, resample
 from charms_bench.world.following import BIN, BINS
 
 EPISODES = 30
 UNITS = 25
-SUITE = Suite.model_validate(
-    {
-        "suite": "s",
-        "episodes": EPISODES,
-        "seed": 4,
-        "egos": [{"agent": "a"}],
-        "traffic_models": [{"traffic": "t"}],
-    }
-)
+SUITE = ego_table.SUITE.model_copy(update={"episodes": EPISODES, "seed": 4})
 RNG = np.random.default_rng(0)
 PLACES = BIN * np.arange(BINS) + BIN / 2
 

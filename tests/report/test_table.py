@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import polars as pl
 import pytest
 
 from charms_bench.errors import InputError
@@ -131,10 +130,6 @@ def test_nan_is_written_as_nothing() -> None:
 def test_a_reference_has_its_difference_beside_it() -> None:
     (written,) = write_column(SPEED, [Number(23.676, reference=23.0)])
     assert (written.reference, written.difference) == ("23", "+0.68")
-
-
-def test_numbers_that_are_not_defined_are_null_in_the_frame() -> None:
-    assert TABLE.frame().filter(pl.col("value").is_null()).height == 1
 
 
 @pytest.mark.parametrize("form", ["", ".1f", "%", ".0f", "margin", ",.2f", ".3g", ".1%"])

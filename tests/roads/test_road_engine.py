@@ -18,7 +18,7 @@ from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
-from charms_bench.report.first_speeds import said_of
+from charms_bench.report.suite_table import first_speeds
 from charms_bench.roads import OF_SUITES
 from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.engine import RoadEngine
@@ -302,8 +302,9 @@ def test_target_speeds_begin_where_the_road_needs_it(
 
 
 def test_the_table_says_where_target_speeds_begin_lower() -> None:
-    assert "of the profile: 8 m/s on roundabout-v0." in said_of(suite("charms", "roundabout-v0"))
-    assert not said_of(suite("charms", "roundabout-v0", target_speed_min_mps=0.0))
+    said = first_speeds(suite("charms", "roundabout-v0"))
+    assert "of the profile: 8 m/s on roundabout-v0." in said
+    assert not first_speeds(suite("charms", "roundabout-v0", target_speed_min_mps=0.0))
 
 
 def test_an_unknown_road_is_rejected_by_name() -> None:

@@ -2,22 +2,17 @@
 
 import ast
 import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mutate
 import pytest
+from mutation.draw import drawn, mutations, source_mutations
+from mutation.first import pytest_collection_modifyitems
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
-import mutate  # noqa: E402
-from mutation.draw import drawn, mutations, source_mutations  # noqa: E402
-from mutation.first import pytest_collection_modifyitems  # noqa: E402
-
-sys.path.remove(str(ROOT / "tools"))
-
 CHANGES = [
     ("tie_rule", "return a < b", {"return a <= b"}),
     ("tie_rule", "return a < 0.5", set()),
@@ -196,7 +191,7 @@ def test_a_test_that_does_not_end_notices_the_fault(checkout: Path, tmp_path: Pa
         "from charms_bench.toy.speeds import slower\n\n\n"
         "def test_speeds():\n    while slower(1, 2) == 2:\n        pass\n"
     )
-    runner = mutate.Runner(mutate.copied(checkout, checkout, tmp_path), [], {})
+    runner = mutate.Runner(mutate.copied(checkout, tmp_path), [], {})
     (slower,) = (each for each in source_mutations(checkout, ["charms_bench"]) if each.line == 2)
     assert runner.mutated(slower, ["tests/toy"], 3.0).verdict == "timed out"
 

@@ -36,11 +36,7 @@ by 4.5 to 1. Black itself would take the colour of the page's text."""
 
 
 def check_figure(path: Path) -> None:
-    """Rejects a file name that no figure can be written to.
-
-    Raises:
-        InputError: The file's ending is not a format's.
-    """
+    """Raises an `InputError` for a file name that does not end as a format's does."""
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
 
@@ -134,11 +130,7 @@ def take_text_as_it_is(figure: Figure) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Writes a figure in the format of the file's ending.
-
-    Raises:
-        InputError: The ending is not a format's, or the file cannot be written.
-    """
+    """Writes a figure in the format of the file's ending; an `InputError` if it cannot be."""
     check_figure(path)
     take_text_as_it_is(figure)
     ending = path.suffix.lower().removeprefix(".")

@@ -1,6 +1,7 @@
 """A road map seen from above: its lanes, where they conflict, and its signals."""
 
 from itertools import groupby
+from operator import attrgetter
 
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
@@ -30,10 +31,9 @@ def draw(road: RoadMap) -> Figure:
     axes.add_collection(LineCollection(lines, colors=EDGE, linewidths=0.5))
     _draw_arrows(axes, lines)
     at = {lane.id: lane for lane in lanes}
-    for kind, group in groupby(
-        sorted(road.conflicts, key=lambda each: each.kind), key=lambda each: each.kind
-    ):
-        several = [_point(at[each.lanes[0]], each.at[0]) for each in group]
+    by_kind = attrgetter("kind")
+    for kind, group in groupby(sorted(road.conflicts, key=by_kind), by_kind):
+        several = [_point(at[each.lanes[0]].points, each.at[0]) for each in group]
         x, y = _in_map(road, np.array(several)).T
         colour, marker = _KINDS[kind]
         label = f"{kind} ({len(several):,})"
@@ -51,8 +51,7 @@ def draw(road: RoadMap) -> Figure:
         )
     axes.set_aspect("equal", adjustable="datalim")  # so that a straight road has room for text
     axes.autoscale_view()
-    axes.set_xlabel("x of the map, m")
-    axes.set_ylabel("y of the map, m")
+    axes.set(xlabel="x of the map, m", ylabel="y of the map, m")
     axes.ticklabel_format(useOffset=False, style="plain")
     if axes.get_legend_handles_labels()[1]:
         axes.legend(loc="best", fontsize=7, frameon=False)
@@ -74,9 +73,10 @@ def _area(lane: MapLane) -> Floats:
     return np.vstack([points[:, :2] + half, (points[:, :2] - half)[::-1]])
 
 
-def _point(lane: MapLane, s: float) -> tuple[float, float]:
-    along = lengths_of(lane.points)
-    x, y = (float(np.interp(s, along, lane.points[:, k])) for k in range(2))
+def _point(points: Floats, s: float) -> tuple[float, float]:
+    """The point at a distance along points (N, 2 or more)."""
+    along = lengths_of(points)
+    x, y = (float(np.interp(s, along, points[:, k])) for k in range(2))
     return x, y
 
 
@@ -95,6 +95,5 @@ def _middle(line: Floats) -> tuple[float, float, float, float]:
     along = lengths_of(line)
     step = min(int(np.searchsorted(along, along[-1] / 2, side="right")), len(line) - 1)
     way = line[step] - line[step - 1]
-    x, y = (float(np.interp(along[-1] / 2, along, line[:, k])) for k in range(2))
     u, v = (way / np.hypot(*way)).tolist()
-    return x, y, u, v
+    return *_point(line, along[-1] / 2), u, v

@@ -21,9 +21,7 @@ Place = tuple[int, int, int]
 def asked(text: str, runs: Sequence[Evaluation]) -> Place:
     """The episode of `RUN:EPISODE[:EGO[:TRAFFIC]]`; with one run `EPISODE` is enough.
 
-    Raises:
-        InputError: It is written in another way, or there is no such run, no such episode, or
-            several of them.
+    An `InputError` if it is written in another way, or there is no such episode, or several.
     """
     expected = f"--episode {text}: expected RUN:EPISODE[:EGO[:TRAFFIC]]"
     names = {name: run for run in runs for name in _names(run)}
@@ -70,9 +68,7 @@ def choose(
     """The named episodes, then the `top` most critical of all runs, simulated again.
 
     An episode that two runs share is shown once. Relative paths of networks start at `folder`.
-
-    Raises:
-        CharmsBenchError: As for `replay.replay`.
+    Raises what `replay.replay` does.
     """
     wanted = list(dict.fromkeys([*named, *(_most_critical(runs, top) if top else [])]))
     return _simulated(runs, wanted, folder)
@@ -123,10 +119,8 @@ def futures(
 ) -> dict[str, WhatIf]:
     """Another future of each named episode, as `STEP:AGENT[:VEHICLE]` says, by its name.
 
-    Raises:
-        InputError: It is written in another way, no episode is named, or one has no such decision,
-            vehicle or agent.
-        CharmsBenchError: As for `replay.replay`.
+    An `InputError` if it is written in another way, no episode is named, or one has no such
+    decision, vehicle or agent; else what `replay.replay` raises.
     """
     found = re.fullmatch(r"([0-9]+):(.+?)(?::([0-9]+))?", text)
     if found is None:

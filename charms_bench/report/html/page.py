@@ -21,11 +21,7 @@ SCRIPTS = ("tables.js", "player.js", "controls.js")
 
 
 def check_page(path: Path) -> None:
-    """Rejects a file name that is not a page's.
-
-    Raises:
-        InputError: The name does not end in `.html`.
-    """
+    """Raises an `InputError` for a file name that does not end in `.html`."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: expected a name that ends in .html")
 

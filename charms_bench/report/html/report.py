@@ -25,16 +25,9 @@ def write_report(
 ) -> dict[str, Any]:
     """Writes the report of some run folders, in their order; returns what it contains, for JSON.
 
-    Args:
-        paths: The run folders.
-        output: The HTML file.
-        top: How many of the most critical episodes of all runs to replay.
-        episodes: More episodes, as RUN:EPISODE[:EGO[:TRAFFIC]].
-        suite_folder: Where relative paths of networks and recordings in suites start.
-        what_if: Another future of each of these `episodes`, as STEP:AGENT[:VEHICLE].
-
-    Raises:
-        CharmsBenchError: A folder or an episode cannot be used, or the file cannot be written.
+    It replays the `top` most critical episodes of all runs and those in `episodes`, written
+    RUN:EPISODE[:EGO[:TRAFFIC]], of which `what_if` shows another future, STEP:AGENT[:VEHICLE].
+    Relative paths in suites start at `suite_folder`. A `CharmsBenchError` says what cannot be used.
     """
     check_page(output)
     page_path, suite_folder = absolute(output), absolute(suite_folder)

@@ -17,12 +17,13 @@ from charms_bench.report.figures.paper_values import draw_beside_paper
 from charms_bench.report.figures.preventable import draw_preventable, survivors
 from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
-from charms_bench.report.html.sources import Evaluation, Source, TableFolder, TrainingFolder
+from charms_bench.report.html.sources import Evaluation, OtherFolder, Source
 from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
 from charms_bench.report.sentences import finding, place
 from charms_bench.report.suite_table import matrices, one_per_metric, printed
 from charms_bench.report.table import Table
+from charms_bench.report.training_tables import Training
 from charms_bench.report.what_if_table import what_if_table
 from charms_bench.runs.suite import Suite
 
@@ -68,10 +69,10 @@ def section_of(source: Source, folder: Path) -> Section:
     """The section of a run folder; relative paths in a suite start at `folder`."""
     if isinstance(source, Evaluation):
         return _of_evaluation(source, folder)
-    if isinstance(source, TrainingFolder):
-        return _of_training(source)
-    assert isinstance(source, TableFolder)
-    table, facts = source.table, [f"run folder {source.path.name}"]
+    assert isinstance(source, OtherFolder)
+    table, facts = source.found, [f"run folder {source.path.name}"]
+    if isinstance(table, Training):
+        return _of_training(source.key, table, facts)
     if not table.rows:
         return Section(f"run-{source.key}", table.title, [*facts, table.note], [], [])
     return Section(f"run-{source.key}", table.title, facts, [table], [])
@@ -128,18 +129,17 @@ def _scenes(suite: Suite) -> str:
     return f"{counted(scene.lanes, 'lane')}, {vehicles}, density {scene.density:g}"
 
 
-def _of_training(source: TrainingFolder) -> Section:
-    training = source.training
+def _of_training(key: str, training: Training, facts: Sequence[str]) -> Section:
     assert training.curves is not None
     count = training.curves["stage"].n_unique()
     caption = "A line per stage. Curves over steps were measured while the policy explored."
     return Section(
-        id=f"run-{source.key}",
+        id=f"run-{key}",
         title="Training and fine-tuning",
-        facts=(counted(count, "stage"), f"run folder {source.path.name}"),
+        facts=(counted(count, "stage"), *facts),
         tables=() if training.stages is None else training.stages.blocks(COLUMNS),
         pictures=[
-            _picture(f"{source.key}-{k}", title, caption, figure)
+            _picture(f"{key}-{k}", title, caption, figure)
             for k, (title, figure) in enumerate(draw_curves(training))
         ],
     )

@@ -36,24 +36,16 @@ class Evaluation(Source):
 
 
 @dataclass(frozen=True)
-class TrainingFolder(Source):
-    """The folder of a training."""
+class OtherFolder(Source):
+    """The folder of a training, or that of `rare` or `search`, which has one table."""
 
-    training: Training
-
-
-@dataclass(frozen=True)
-class TableFolder(Source):
-    """The folder of `rare` or `search`, which has one table."""
-
-    table: Table
+    found: Training | Table
 
 
 def open_sources(paths: Sequence[Path]) -> list[Source]:
     """The run folders, in this order.
 
-    Raises:
-        RunFolderError: One is not a run folder, is not finished, is damaged, or is given twice.
+    A `RunFolderError` if one is no run folder, is not finished, is damaged, or is given twice.
     """
     sources: list[Source] = []
     for path in map(absolute, paths):
@@ -65,14 +57,14 @@ def open_sources(paths: Sequence[Path]) -> list[Source]:
 
 def _opened(path: Path, keys: set[str]) -> Source:
     if holds(path, RARE):
-        return TableFolder(unused("rare", keys), path, stored_rare(path))
+        return OtherFolder(unused("rare", keys), path, stored_rare(path))
     if holds(path, SEARCH):
-        return TableFolder(unused("search", keys), path, _failures(path))
+        return OtherFolder(unused("search", keys), path, _failures(path))
     if holds(path, MANIFEST):
         run = open_finished(path)
         return Evaluation(unused(run.suite.suite, keys), path, run, stored_tables(path, run.suite))
     if holds(path, CURVES):
-        return TrainingFolder(unused("training", keys), path, stored_training(path))
+        return OtherFolder(unused("training", keys), path, stored_training(path))
     raise RunFolderError(
         f"{path}: holds neither an evaluation ({MANIFEST}) nor a training ({CURVES}); "
         "`charms-bench run` makes both, `rare` and `search` other folders that reports take"

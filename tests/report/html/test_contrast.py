@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 from matplotlib.figure import Figure
 
+from charms_bench.report.figures.drawing import contrast
 from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.styles import draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff
@@ -31,18 +32,6 @@ ENOUGH = 4.5
 
 def rgb(colour: str) -> list[int]:
     return [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
-
-
-def luminance(colour: str) -> float:
-    """The relative luminance of WCAG 2.2."""
-    parts = [c / 255 for c in rgb(colour)]
-    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
-
-
-def ratio(one: str, other: str) -> float:
-    dim, bright = sorted((luminance(one), luminance(other)))
-    return (bright + 0.05) / (dim + 0.05)
 
 
 def over(colour: str, opacity: float, behind: str) -> str:
@@ -98,7 +87,7 @@ def contrasts(figure: Figure, mode: str) -> dict[str, float]:
                 inside = (points.min(axis=0) <= place) & (place <= points.max(axis=0))
                 if not other and inside.all():
                     behind = over(in_mode(colour, mode), opacity, behind)
-            found[text] = ratio(in_mode(fill, mode), behind)
+            found[text] = contrast(in_mode(fill, mode), behind)
     return found
 
 
@@ -119,8 +108,8 @@ def matrix(metric: str) -> Table:
 
 
 def test_white_on_black_has_the_ratio_that_wcag_gives() -> None:
-    assert ratio("#ffffff", "#000000") == pytest.approx(21.0)
-    assert ratio("#777777", "#ffffff") == pytest.approx(4.48, abs=0.005)
+    assert contrast("#ffffff", "#000000") == pytest.approx(21.0)
+    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.005)
     assert over("#ffffff", 0.7, "#171c24") == "#b9bbbd"
 
 

@@ -1,3 +1,5 @@
+"""How fast the ego drives and how smoothly; of the set `paper`, only with a leader near."""
+
 import math
 
 import pytest
@@ -6,6 +8,29 @@ from handmade_rows import measure, of_paper, of_standard
 from charms_bench.world.scene import SceneSettings
 
 NEAR = {"leader_distance": 30.0, "leader_speed": 25.0}
+
+
+def test_the_paper_takes_speed_only_behind_a_leader() -> None:
+    steps = [{"speed": 22.0, **NEAR}, {"speed": 26.0, **NEAR}, {"speed": 33.0}]
+    assert measure(of_paper("speed_mean"), ({}, steps)) == 24.0
+    assert measure(of_paper("speed_std"), ({}, steps)) == 2.0
+    assert measure(of_standard("speed_mean"), ({}, steps)) == 27.0
+
+
+def test_a_constant_speed_has_no_deviation() -> None:
+    assert measure(of_paper("speed_std"), ({}, [{"speed": 25.3, **NEAR}] * 7)) == 0.0
+
+
+def test_a_wreck_has_no_speed() -> None:
+    steps = [{"speed": 30.0}, {"speed": 10.0}]
+    assert measure(of_standard("speed_mean"), ({"ending": "side"}, steps)) == 30.0
+    assert measure(of_standard("speed_mean"), ({"ending": "off_road"}, steps)) == 20.0
+
+
+def test_the_traffics_speed_is_distance_over_time() -> None:
+    one = ({"traffic_vehicles": 2, "duration_s": 20.0, "traffic_distance_m": 1000.0}, [{}])
+    two = ({"traffic_vehicles": 2, "duration_s": 5.0, "traffic_distance_m": 150.0}, [{}])
+    assert measure(of_standard("traffic_speed_mean"), one, two) == pytest.approx(1150 / 50)
 
 
 def test_the_papers_mean_acceleration_leaves_braking_out() -> None:
@@ -52,3 +77,21 @@ def test_jerk_is_the_difference_over_the_decision_interval() -> None:
     assert measure(of_standard("jerk_rms"), episode, settings=slow) == pytest.approx(
         math.sqrt((1.0 + 4.0) / 2)
     )
+
+
+def test_yaw_std_is_that_of_the_steering_angle() -> None:
+    steps = [{"steering": 0.25, **NEAR}, {"steering": -0.25, **NEAR}, {"steering": 1.0}]
+    assert measure(of_paper("yaw_std"), ({}, steps)) == 0.25
+
+
+def test_the_yaw_rate_is_the_change_of_heading_over_the_decision_interval() -> None:
+    # At 3 Hz: 0.03 and -0.06 rad/s; the next change is that of a wreck.
+    steps = [{"heading": h} for h in (0.01, 0.02, 0.0, 0.5)]
+    other = ({}, [{"heading": 0.3}])  # no pair, and none across episodes
+    found = measure(of_standard("yaw_rate_rms"), ({"ending": "side"}, steps), other)
+    assert found == pytest.approx(math.sqrt((0.03**2 + 0.06**2) / 2), rel=1e-6)
+
+
+def test_interaction_density_is_taken_in_logged_steps() -> None:
+    steps = [{"vehicles_near": 4, **NEAR}, {"vehicles_near": 1, **NEAR}, {"vehicles_near": 9}]
+    assert measure(of_paper("interaction_density"), ({}, steps)) == 2.5
