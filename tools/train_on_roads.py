@@ -112,13 +112,14 @@ def evaluate(training: Training, choose: Callable[[Any], Any]) -> dict[str, floa
     returns, goal = np.zeros(EPISODES), np.zeros(EPISODES, dtype=np.bool_)
     crashed, running = goal.copy(), ~goal
     while running.any():
+        lanes_before = episodes.scenes.vehicles["lane"][:, 0].copy()
         decision = episodes.step(choose(seen))
         seen, has_crashed = decision.observations, episodes.scenes.vehicles["crashed"][:, 0]
         returns += np.where(running, decision.rewards, 0.0)
         if road.startswith("racetrack"):
             reached = decision.truncated  # it is still on the track
         elif road.startswith("roundabout"):
-            reached = episodes.task.has_reached_goal(episodes.scenes)
+            reached = episodes.task.has_reached_goal(episodes.scenes, lanes_before)
         else:
             reached = decision.terminated
         ended = running & (decision.terminated | decision.truncated)

@@ -81,8 +81,8 @@ def write_commonroad(replay: Replay, path: Path) -> None:
     for vehicle in np.nonzero(moving.present.any(axis=0))[0].tolist():
         stays = _stays(moving, vehicle, 1 / replay.settings.simulation_hz)
         for k, stay in enumerate(each for each in stays if len(each) > 1):
-            name = next(later) if k else FIRST_VEHICLE + vehicle
-            _add_vehicle(root, moving, vehicle, stay, name)
+            number = next(later) if k else FIRST_VEHICLE + vehicle
+            _add_vehicle(root, moving, vehicle, stay, number)
     # The planning problem is the ego's start, and as its goal the time when the episode ends.
     problem = SubElement(root, "planningProblem", id=str(PLANNING_PROBLEM))
     _add_state(problem, "initialState", moving, replay.ego, 0)
@@ -192,12 +192,12 @@ def _stays(replay: Replay | Plan, vehicle: int, interval_s: float) -> list[list[
 
 
 def _add_vehicle(
-    root: Element, replay: Replay | Plan, vehicle: int, frames: list[int], name: int
+    root: Element, replay: Replay | Plan, vehicle: int, frames: list[int], number: int
 ) -> None:
     first, *others = frames
     is_obstacle = isinstance(replay, Plan) and bool(replay.is_obstacle[first, vehicle])
     kind = "staticObstacle" if is_obstacle else "dynamicObstacle"
-    obstacle = SubElement(root, kind, id=str(name))
+    obstacle = SubElement(root, kind, id=str(number))
     length, width = float(replay.length[first, vehicle]), float(replay.width[first, vehicle])
     of_size = "car" if length < TRUCK_LENGTH_M else "truck"
     SubElement(obstacle, "type").text = "constructionZone" if is_obstacle else of_size
