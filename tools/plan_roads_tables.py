@@ -2,7 +2,8 @@
 
     python tools/plan_roads_tables.py NETWORKS RUNS
 
-NETWORKS and RUNS are those of `plan_roads.py`. Seeds that are not in NETWORKS keep their rows.
+NETWORKS and RUNS are those of `plan_roads.py`. Tests that are not in RUNS and seeds that are not in
+NETWORKS keep their rows.
 """
 
 import json
@@ -82,10 +83,10 @@ def values_of(runs: Path, test: str) -> pl.DataFrame:
 
 
 def kept(name: str, found: pl.DataFrame, key: str) -> pl.DataFrame:
-    """Writes the rows of a CSV file, beside those that it has of other seeds."""
+    """Writes the rows of a CSV file, beside those that it has of other seeds or keys."""
     path = RESULTS / f"{name}.csv"
     before = pl.read_csv(path) if path.exists() else found.clear()
-    others = before.filter(~pl.col("seed").is_in(found["seed"].implode(), nulls_equal=True))
+    others = before.join(found, on=[key, "seed"], how="anti", nulls_equal=True)
     every = pl.concat([others, found], how="vertical_relaxed").sort(key, "seed")
     every.write_csv(path)
     return every
@@ -178,8 +179,8 @@ def tables(networks: Path, runs: Path) -> None:
         seeds = selected(pl.concat(of_validation)).with_columns(pl.col("seed").cast(str))
         forms = {"limits_met": ".0f"} | {name: COLUMNS[name][1] for name in seeds.columns[2:]}
         keep("plan-roads-selection", markdown(Table.plain(seeds.to_dicts(), ("seed",), forms)))
-    if found.keys() >= {"people", "own"}:
-        keep("plan-roads-limits", limits(pl.concat((found["people"], found["own"]))))
+    if with_limits := [found[test] for test in ("people", "own") if test in found]:
+        keep("plan-roads-limits", limits(pl.concat(with_limits)))
     if plan.OF_STYLES in found:
         of_seeds = found[plan.OF_STYLES].drop_nulls("seed")
         keep("plan-roads-statements", statements(of_seeds))
