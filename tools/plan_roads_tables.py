@@ -108,7 +108,9 @@ def statements(values: pl.DataFrame) -> str:
             records.append({"road": road, "statement": text, "difference": found})
     for record, each in zip(records, holm(np.array(p)), strict=True):
         record["p (Holm)"] = f"{each:.2g}"
-    return markdown(Table.plain(records, tuple(records[0]), {}))
+    return markdown(
+        Table.plain(records, ("road", "statement"), dict.fromkeys([*records[0]][2:], ""))
+    )
 
 
 def limits(values: pl.DataFrame) -> str:
@@ -134,7 +136,8 @@ def limits(values: pl.DataFrame) -> str:
             record |= {"worst seed": f"{worst(each):{form}}" if worst else ""}
             record |= {"mean holds": "yes" if sign * each.mean() >= sign * bound else "no"}
             records.append(record)
-    return markdown(Table.plain(records, tuple(records[0]), {}))
+    keys = "road", "traffic", "quantity"
+    return markdown(Table.plain(records, keys, dict.fromkeys([*records[0]][3:], "")))
 
 
 def selected(values: pl.DataFrame) -> pl.DataFrame:
