@@ -27,7 +27,7 @@ FIRST_VEHICLE = 1001
 FIRST_LATER = 500_000
 """That of the first obstacle that comes to the place of one that has left."""
 JUMP_M = 5.0
-"""A vehicle that moves further than by its speed and this is another one at the same place."""
+"""What moves in a step by more than its speed allows and this is another vehicle."""
 PLANNING_PROBLEM = 1_000_000
 FIRST_SIGN = 2_000_000
 SPEED_SIGN = "274"
