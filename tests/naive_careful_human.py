@@ -86,15 +86,15 @@ def crashes(
     ego: np.ndarray,
     duration_s: float,
     *,
-    stops: bool = False,
-    later_s: float = 0.0,
-    ahead_s: float = 0.0,
+    stops: bool | np.ndarray = False,
+    later_s: float | np.ndarray = 0.0,
+    ahead_s: float | np.ndarray = 0.0,
 ) -> np.ndarray:
     """Whether the driver, who starts at x = 0 with the speed `ego`, collides in each scenario.
 
     If it `stops`, it brakes to a standstill, otherwise while it closes in. `later_s` delays the
     braking. Vehicles that approach each other by some distance within `ahead_s` collide at this
-    distance already, as in highway-env.
+    distance already, as in highway-env. All three can be arrays (R,), a value for each scenario.
     """
     x, v = np.zeros_like(ego), ego.copy()
     perceived, reacted = np.full_like(ego, np.inf), np.full_like(ego, np.inf)

@@ -1,7 +1,6 @@
 """The careful driver of UN R157, held against a plain version at 1 kHz."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -45,33 +44,45 @@ def _margins(title: str, driver: CarefulHuman, points: Sequence[dict[str, float]
     return margins(simulation, np.arange(len(points)))
 
 
-@pytest.mark.parametrize("rule", get_args(BrakesUntil))
 @pytest.mark.parametrize(
     ("title", "others_of"),
     [("Cut-in", _cut_in), ("Cut-out", _cut_out), ("Deceleration", _deceleration)],
 )
 def test_it_collides_where_the_plain_version_does_but_for_one_step_at_the_boundary(
-    title: str, others_of: Callable[[Values], naive.Others], rule: BrakesUntil
+    title: str, others_of: Callable[[Values], naive.Others]
 ) -> None:
     entry = next(each for each in SUITE.traffics if each.title == title)
     assert entry.traffic.scenario is not None
     values = values_at(entry.traffic.scenario, np.arange(5000, 5000 + EPISODES))
     points = [{name: each[k] for name, each in values.items()} for k in range(EPISODES)]
-    ours = _margins(title, CarefulHuman(rule), points) <= 0
-
-    others, ego, step_s = others_of(values), values["ego_mps"], 1 / SUITE.scene.simulation_hz
-    crashes = partial(naive.crashes, others, ego, DURATION_S, stops=rule == "standstill")
-    theirs, early = crashes(), crashes(later_s=-step_s)
-    late = crashes(later_s=step_s, ahead_s=step_s)
     # The plain version does not model the collision of the leader that changes lanes too late.
-    moved_m = values.get("lateral_mps", 1.0) * values["gap_m"] / ego
+    moved_m = values.get("lateral_mps", 1.0) * values["gap_m"] / values["ego_mps"]
     is_compared = (moved_m > 2.1) | (title != "Cut-out")
-    is_at_boundary = early != late
-    assert 0 < ours[is_compared].mean() < 1
-    assert is_at_boundary[is_compared].mean() < 0.05
-    np.testing.assert_array_equal(
-        ours[is_compared & ~is_at_boundary], theirs[is_compared & ~is_at_boundary]
+
+    # The plain version on time, a step early and a step late, by both rules, in one simulation.
+    rules, step_s = get_args(BrakesUntil), 1 / SUITE.scene.simulation_hz
+    shape = (len(rules), 3, EPISODES)
+    repeated = {name: np.broadcast_to(each, shape).ravel() for name, each in values.items()}
+
+    def each_of(axis: int, of: Sequence[float]) -> Floats:
+        return np.broadcast_to(np.expand_dims(of, (1 - axis, 2)), shape).ravel()
+
+    crashes = naive.crashes(
+        others_of(repeated),
+        repeated["ego_mps"],
+        DURATION_S,
+        stops=each_of(0, [rule == "standstill" for rule in rules]),
+        later_s=each_of(1, [0.0, -step_s, step_s]),
+        ahead_s=each_of(1, [0.0, 0.0, step_s]),
     )
+    for rule, (theirs, early, late) in zip(rules, crashes.reshape(shape), strict=True):
+        ours = _margins(title, CarefulHuman(rule), points) <= 0
+        is_at_boundary = early != late
+        assert 0 < ours[is_compared].mean() < 1
+        assert is_at_boundary[is_compared].mean() < 0.05
+        np.testing.assert_array_equal(
+            ours[is_compared & ~is_at_boundary], theirs[is_compared & ~is_at_boundary], rule
+        )
 
 
 def test_only_who_releases_the_brake_gets_away_from_a_vehicle_that_it_has_slipped_past() -> None:

@@ -75,15 +75,6 @@ def copied_run(finished_run: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(finished_run, tmp_path / "run"))
 
 
-def test_a_run_prints_its_table_and_says_where_the_rest_is(suite_file: Path) -> None:
-    result = in_a_process("run", suite_file, cwd=suite_file.parent)
-    assert result.returncode == 0, result.stderr
-    assert "A [bold]small[/] suite" in result.stdout
-    assert re.search(r"IDM\s+\d+\.\d+", result.stdout)
-    assert "paper 23.67" in result.stdout
-    assert (suite_file.parent / "runs" / "small" / "tables" / "small.csv").exists()
-
-
 def test_a_suite_with_references_prints_the_distance_from_human_driving(suite_file: Path) -> None:
     text = suite_file.read_text().replace("  - {agent: stackelberg}\n", "")
     suite_file.write_text(text + "references: [i24, us101]\n")
@@ -403,8 +394,8 @@ def test_a_terminal_gets_a_progress_bar(suite_file: Path, copied_run: Path) -> N
 def test_a_bug_of_ours_has_its_own_exit_code_and_a_traceback(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("charms_bench.runs.packaged.packaged_suites", lambda: 1 / 0)
-    called = charms_bench("suites", cwd=tmp_path)
+    monkeypatch.setattr("charms_bench.runs.copied_suite.copy_suite", lambda _: 1 / 0)
+    called = charms_bench("suites", "--copy", "ego", cwd=tmp_path)
     assert called.returncode == 70
     assert "ZeroDivisionError" in called.stderr
     assert "This is a bug of charms-bench. Please report it" in called.stderr
@@ -422,16 +413,20 @@ def test_quiet_leaves_out_progress_and_verbose_says_where_an_error_was_raised(
     assert "in suite_file" in told
 
 
-def test_neither_a_style_in_the_current_folder_nor_a_backend_changes_a_figure(
+def test_a_run_prints_its_table_and_draws_figures_whatever_the_style_and_the_backend_are(
     suite_file: Path, finished_run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = suite_file.parent
     (folder / "matplotlibrc").write_text("text.usetex: True\nfont.size: 40\n")
     monkeypatch.setenv("MPLBACKEND", "nonsense")
-    ran = in_a_process("run", "suite.yaml", "--workers", 1, "--output", "styled", cwd=folder)
+    ran = in_a_process("run", "suite.yaml", cwd=folder)
     assert ran.returncode == 0, ran.stderr
-    figure = Path("figures", "small-tradeoff.png")
-    assert (folder / "styled" / figure).read_bytes() == (finished_run / figure).read_bytes()
+    assert "A [bold]small[/] suite" in ran.stdout
+    assert re.search(r"IDM\s+\d+\.\d+", ran.stdout)
+    assert "paper 23.67" in ran.stdout
+    run, figure = folder / "runs" / "small", Path("figures", "small-tradeoff.png")
+    assert (run / "tables" / "small.csv").exists()
+    assert (run / figure).read_bytes() == (finished_run / figure).read_bytes()
 
 
 def test_a_style_that_cannot_be_read_is_named(suite_file: Path) -> None:

@@ -1,6 +1,7 @@
 """Episodes of recorded scenes: where vehicles are, how they come and go, and what drives them."""
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations
@@ -72,7 +73,9 @@ def test_every_vehicle_is_where_the_recording_says_at_every_frame(
     tmp_path: Path, rate: int, hz: int
 ) -> None:
     rows = flowing_road(rate)
-    said = recorded(rows)
+    said: dict[int, list[tuple[float, ...]]] = defaultdict(list)
+    for (_, frame), place in recorded(rows).items():
+        said[frame].append(place)
     settings = scene_of(tmp_path, rows, rate, simulation_hz=hz)
     simulation, compared = simulation_of(settings), 0
     starts = [int(name.split()[-1]) for name in moments_of(settings).names]
@@ -83,7 +86,7 @@ def test_every_vehicle_is_where_the_recording_says_at_every_frame(
                 here = simulation.scene.present[b]
                 found = np.stack([getattr(simulation.scene, name)[b, here]
                                   for name in ("x", "y", "length", "width")], axis=1)  # fmt: skip
-                expected = sorted(each for (_, at), each in said.items() if at == frame)
+                expected = sorted(said[frame])
                 np.testing.assert_allclose(sorted(map(tuple, found)), expected, rtol=0, atol=1e-9)
                 compared += len(expected)
         if step < 2 * hz:

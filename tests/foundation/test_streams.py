@@ -46,4 +46,8 @@ def test_results_that_cannot_be_written_are_an_error(words: list[str], tmp_path:
     done = called(">/dev/full", tmp_path, *words)
     assert done.returncode == 2
     assert done.stderr == "error: standard output: cannot be written: No space left on device\n"
-    assert called(">/dev/full 2>/dev/full", tmp_path, *words).returncode == 2
+
+
+@needs_full
+def test_an_error_that_cannot_be_written_has_its_exit_code(tmp_path: Path) -> None:
+    assert called(">/dev/full 2>/dev/full", tmp_path, "agents").returncode == 2

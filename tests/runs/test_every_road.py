@@ -1,10 +1,12 @@
 """Suites on roads where vehicles come and go, drive in circles or towards each other."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 import pytest
+from run_folders import sign
 
 from charms_bench.api import open_run
 from charms_bench.api.evaluation import run as run_file
@@ -50,12 +52,17 @@ def test_rows_are_the_same_again_and_with_two_workers(made: Any, tmp_path: Path)
 
 
 def test_an_audit_simulates_rows_again_and_finds_a_forged_one(made: Any, tmp_path: Path) -> None:
-    forged = run_file(made.path.parent / "roads.yaml", tmp_path / "run", workers=1)
-    assert forged.audit(shards=None, workers=1).verdict == "pass"
+    assert made.audit(shards=1, workers=1).verdict == "pass"
+    forged = open_run(Path(shutil.copytree(made.path, tmp_path / "run")))
     name = next(path for path in sorted((forged.path / "episodes").glob("003-*.parquet")))
     rows = pl.read_parquet(name)  # of the intersection with its own vehicles
     rows.with_columns(distance_m=pl.col("distance_m") + 0.5).write_parquet(name)
-    assert open_run(forged.path).audit(shards=None, workers=1).verdict == "fail"
+    sign(forged.path, name.stem)
+    findings = [
+        each for each in forged.audit(shards=None, workers=1).findings if each.check == "rows"
+    ]
+    assert [each.where for each in findings] == [f"episodes/{name.name}", ""]
+    assert findings[1].what.startswith("1 of 16 shards that were simulated again differ")
 
 
 def test_only_a_motorway_has_no_goal(made: Any) -> None:

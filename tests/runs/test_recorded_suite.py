@@ -66,7 +66,7 @@ def test_the_recorded_driver_among_replayed_vehicles_never_crashes(run: Path) ->
 
 
 def test_an_audit_simulates_recorded_episodes_again(run: Path) -> None:
-    called = command_line("audit", run)
+    called = command_line("audit", run, "--workers", 1)
     assert called.returncode == 0, called.stdout
     assert "have the same rows" in called.stdout
 
@@ -146,11 +146,12 @@ def test_a_search_for_escapes_starts_at_the_moments_of_the_run(tmp_path: Path) -
 
 def test_without_the_recordings_tables_are_shown_but_nothing_is_simulated(tmp_path: Path) -> None:
     folder = written(tmp_path, SUITE.replace("  - {agent: imitation, label: Imitation}\n", ""))
-    assert command_line("run", "small.yaml", "--output", "run", cwd=folder).returncode == 0
+    words = ("run", "small.yaml", "--workers", 1, "--output")
+    assert command_line(*words, "run", cwd=folder).returncode == 0
     (folder / "people").rename(folder / "elsewhere")
     assert command_line("show", folder / "run").returncode == 0
-    again = command_line("run", "small.yaml", "--output", "again", cwd=folder)
-    audit = command_line("audit", folder / "run")
+    again = command_line(*words, "again", cwd=folder)
+    audit = command_line("audit", folder / "run", "--workers", 1)
     assert (again.returncode, audit.returncode) != (0, 0)
     assert "small.yaml:4: scene.recording" in again.stderr
     assert "people: cannot be read: No such file or directory" in again.stderr
