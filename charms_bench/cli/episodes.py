@@ -184,6 +184,7 @@ def replay(
     from charms_bench.episodes.animation import check_animation
     from charms_bench.episodes.commonroad import check_commonroad
     from charms_bench.episodes.dataset import name_of
+    from charms_bench.runs.lock import folder_in
 
     if output is not None:
         check_animation(output)
@@ -196,7 +197,7 @@ def replay(
     cell = replayed.cell
     which = "" if replayed.ego_index is None else f"-ego-{replayed.ego_index}"
     name = f"{name_of(opened.suite, replayed.cell)}-{episode}{which}.gif"
-    animation = output or opened.path / "replays" / name
+    animation = output or folder_in(opened.path, "replays") / name
     # Beside a file of the user's choice, this name is no other file's.
     trajectories = animation.with_suffix(".trajectories.parquet" if output else ".parquet")
     what = replayed.what_happened()
@@ -257,6 +258,7 @@ def what_if(
     from charms_bench.report.html.page import check_page
     from charms_bench.report.html.single import write_what_if
     from charms_bench.report.what_if_table import what_if_table
+    from charms_bench.runs.lock import folder_in
 
     if output is not None:
         check_page(output)
@@ -267,7 +269,7 @@ def what_if(
     cell = name_of(opened.suite, found.recorded.cell)
     which = "" if found.recorded.ego_index is None else f"-ego-{ego_index}"
     name = f"{cell}-{episode}{which}-{seat}-{name_of_agent(other)}-from-{at}.html"
-    page = output or opened.path / "replays" / name
+    page = output or folder_in(opened.path, "replays") / name
     write_what_if(found, page)
     recorded, instead = found.sentences()
     if as_json:

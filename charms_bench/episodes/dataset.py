@@ -20,6 +20,7 @@ from charms_bench.foundation.files import write_bytes
 from charms_bench.foundation.names import distinct, slugs
 from charms_bench.foundation.spreadsheets import in_csv
 from charms_bench.foundation.words import counted
+from charms_bench.runs.lock import folder_in
 from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Cell, Suite
 
@@ -56,7 +57,7 @@ def write_dataset(
         )
     # Minari takes the end of a name for the version of a dataset.
     name = f"{name_of(suite, recorded.cell)}-{'v0' if kind == 'minari' else kind}"
-    path = output or recorded.run.folder.path / "datasets" / name
+    path = output or folder_in(recorded.run.folder.path, "datasets") / name
     if kind == "minari":
         check_name(path)
         check_policy(recorded)

@@ -22,11 +22,7 @@ def locked(folder: Path) -> Iterator[None]:
     lock = FileLock(folder / LOCK, timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        inside = (*folder.glob("*"), *folder.glob("*/*"))
-        if links := sorted(path for path in inside if path.is_symlink()):
-            raise RunFolderError(
-                f"{links[0]}: is a link; expected a file or a folder; copy what it leads to"
-            )
+        _reject_links(*folder.glob("*"), *folder.glob("*/*"))
         lock.acquire()
     except Timeout as error:
         raise RunFolderError(
@@ -40,3 +36,19 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def folder_in(run: Path, name: str) -> Path:
+    """A folder of a run for what is written beside its rows.
+
+    A `RunFolderError` says that it is a link, behind which a file outside could be written.
+    """
+    _reject_links(run / name)
+    return run / name
+
+
+def _reject_links(*paths: Path) -> None:
+    if links := sorted(path for path in paths if path.is_symlink()):
+        raise RunFolderError(
+            f"{links[0]}: is a link; expected a file or a folder; copy what it leads to"
+        )

@@ -118,6 +118,25 @@ def test_nothing_behind_a_link_is_written_or_deleted(name: str, folder: Path) ->
         assert contents(folder / "outside") == before
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("replays", ("replay", "run", 0)),
+        ("replays", ("what-if", "run", 0, "--at", 1, "--agent", "human")),
+        ("datasets", ("dataset", "run", "--format", "parquet")),
+    ],
+)
+def test_episodes_are_not_written_behind_a_link(
+    name: str, words: tuple[Any, ...], folder: Path
+) -> None:
+    (folder / "run" / name).symlink_to(folder / "outside")
+    before = contents(folder / "outside")
+    answer = charms_bench(*words, cwd=folder)
+    assert answer.returncode == 2, answer
+    assert f"run/{name}: is a link; expected a file or a folder" in answer.stderr
+    assert contents(folder / "outside") == before
+
+
 def test_a_shorter_run_deletes_finished_episodes_only_if_told_to(folder: Path) -> None:
     before = contents(folder)
     words = ("run", "suite.yaml", "--workers", 1, "--output", "run", "--episodes", 1)
