@@ -7,7 +7,6 @@ from xml.parsers import expat
 
 from charms_bench.errors import MapError
 
-LIMIT_BYTES = 2**30
 DEEPEST = 64
 """Elements within elements; maps have about ten."""
 _CHUNK_BYTES = 2**20

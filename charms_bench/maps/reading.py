@@ -12,12 +12,13 @@ from charms_bench.foundation.files import is_compressed, size_of
 from charms_bench.maps.assembly import assembled
 from charms_bench.maps.commonroad import read_commonroad
 from charms_bench.maps.draft import Draft
-from charms_bench.maps.elements import LIMIT_BYTES, LONGEST_NAME, Element, elements, printable
+from charms_bench.maps.elements import LONGEST_NAME, Element, elements, printable
 from charms_bench.maps.opendrive import read_opendrive
 from charms_bench.maps.road_file import read_road_file
 from charms_bench.maps.road_map import RoadMap
 from charms_bench.maps.sumo import read_sumo
 from charms_bench.world.lane_geometry import Pair
+from charms_bench.world.named_road import ROAD_LIMIT_BYTES
 
 READERS: dict[str, Callable[[Element, Iterator[Element]], Draft]] = {
     "OpenDRIVE": read_opendrive,
@@ -55,9 +56,9 @@ def read_road(
 
 
 def _read(path: Path) -> RoadMap:
-    if size_of(path) > LIMIT_BYTES:
+    if size_of(path) > ROAD_LIMIT_BYTES:
         raise MapError(
-            f"larger than {LIMIT_BYTES:,} bytes; cut the map with the tools of its format"
+            f"larger than {ROAD_LIMIT_BYTES:,} bytes; cut the map with the tools of its format"
         )
     with path.open("rb") as file:
         beginning = file.read(64)

@@ -9,7 +9,7 @@ from pydantic import Field, JsonValue, ValidationInfo, model_validator
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.fields import UNLESS_EMPTY, FilePath, FrozenModel, Name
-from charms_bench.foundation.files import absolute
+from charms_bench.foundation.files import absolute, size_of
 
 ENVIRONMENT = "environment"
 """The traffic model of the vehicles that a road has itself."""
@@ -17,11 +17,18 @@ FILE_ROAD = "road-file"
 """The environment of all roads in files."""
 DRAWN, RECORDED, PLANNING_PROBLEM = STARTS = ("drawn", "recorded", "planning_problem")
 """Where the vehicles of a road in a file are at the start of an episode."""
+ROAD_LIMIT_BYTES = 2**30
+"""The largest file of a road or a map."""
 
 
 def hash_of(path: Path) -> str:
-    """The SHA-256 of a file; raises an `InputError` if it cannot be read."""
+    """The SHA-256 of a regular file; raises an `InputError` if it is too large or unreadable."""
     try:
+        if size_of(path) > ROAD_LIMIT_BYTES:
+            raise InputError(
+                f"{path}: larger than {ROAD_LIMIT_BYTES:,} bytes; "
+                "cut the map with the tools of its format"
+            )
         with path.open("rb") as content:
             return hashlib.file_digest(content, "sha256").hexdigest()
     except OSError as error:

@@ -183,8 +183,8 @@ def _bad(title: str, text: str | bytes) -> BadInput:
     return BadInput(f"suite: {title}", make)
 
 
-def _special(title: str, make_file: Callable[[Path], object]) -> tuple[BadInput, BadInput]:
-    """A special file, given as a suite and as a network."""
+def _special(title: str, make_file: Callable[[Path], object]) -> tuple[BadInput, ...]:
+    """A special file, given as a suite, as a network and as a road."""
 
     def as_suite(folder: Path) -> Sequence[str]:
         make_file(folder / "special")
@@ -195,7 +195,16 @@ def _special(title: str, make_file: Callable[[Path], object]) -> tuple[BadInput,
         (folder / "suite.yaml").write_text(_with(BASE, "agent", "special.onnx"))
         return "run", "suite.yaml"
 
-    return BadInput(f"{title} as a suite", as_suite), BadInput(f"{title} as a network", as_network)
+    def as_road(folder: Path) -> Sequence[str]:
+        make_file(folder / "special")
+        (folder / "suite.yaml").write_text(f"{BASE}roads:\n  - file: special\n")
+        return "run", "suite.yaml"
+
+    return (
+        BadInput(f"{title} as a suite", as_suite),
+        BadInput(f"{title} as a network", as_network),
+        BadInput(f"{title} as a road", as_road),
+    )
 
 
 def _sparse(path: Path) -> None:
