@@ -21,13 +21,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine import EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.statistics.intervals import wilson
 from charms_bench.statistics.paired import tango
+from charms_bench.testing.reference_engine import HighwayEnvEngine
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
@@ -66,7 +68,7 @@ class Chunk(NamedTuple):
         return folder / contestant / f"{self.profile}-{self.number}.npz"
 
 
-def simulate(chunk: Chunk, engine: EngineName, path: Path) -> None:
+def simulate(chunk: Chunk, engine: MakeEngine, path: Path) -> None:
     """Writes the events and positions of a chunk in every simulation step."""
     rates = {"ego_control_rate": "simulation", "sums_time": False}  # as stock; 60 decisions
     settings = SceneSettings.model_validate({"profile": {"name": chunk.profile, **rates}})
@@ -190,7 +192,7 @@ def main() -> None:
     if name := given.simulate:
         for chunk in chunks:
             if not chunk.path(given.folder, name).exists():
-                engine: EngineName = "batched" if name == "ours" else "highway-env"
+                engine = BatchedEngine if name == "ours" else HighwayEnvEngine
                 simulate(chunk, engine, chunk.path(given.folder, name))
         return
     simulate_in_processes(__file__)

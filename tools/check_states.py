@@ -20,11 +20,12 @@ sys.path.append(str(Path(__file__).parents[1] / "tests" / "engine"))
 
 from interrupted import Whims, moments
 
-from charms_bench.engine import EngineName
-from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
+from charms_bench.engine import MakeEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture
+from charms_bench.testing.exact_maths import use_exact_maths, worker_environment
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.scene import Ints, SceneSettings
 
 FIRST_SEED = 900_000_000
@@ -58,7 +59,7 @@ CASES = {
 }
 
 
-def simulation(case: Case, scenes: int, engine: EngineName) -> Simulation:
+def simulation(case: Case, scenes: int, engine: MakeEngine) -> Simulation:
     """Scenes of a case that have not started."""
     traffic = Mixture(case.traffic)
     own = {"whims": Whims(case.settings.decision_hz), "quick whims": Whims(15.0)}
@@ -67,7 +68,7 @@ def simulation(case: Case, scenes: int, engine: EngineName) -> Simulation:
 
 
 def check(
-    case: Case, engines: tuple[EngineName, EngineName], states: int, limit: int | None, first: int
+    case: Case, engines: tuple[MakeEngine, MakeEngine], states: int, limit: int | None, first: int
 ) -> str:
     """Saves in one engine and continues in the other; says how many states and steps were compared.
 
@@ -100,16 +101,17 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=int, default=number)
     parser.add_argument("--steps", type=int, help="by default, to the end of each episode")
     asked = parser.parse_args()
-    environment = worker_environment("highway-env")
+    environment = worker_environment()
     if any(os.environ.get(name) != value for name, value in environment.items()):
         again = [sys.executable, *sys.argv]
         sys.exit(subprocess.run(again, env=os.environ | environment).returncode)
-    use_exact_maths("highway-env")
-    pairs: list[tuple[str, tuple[EngineName, EngineName], int]] = [
-        ("batched", ("batched", "batched"), asked.batched),
-        ("highway-env", ("highway-env", "highway-env"), asked.reference),
-        ("batched, then highway-env", ("batched", "highway-env"), asked.across // 2),
-        ("highway-env, then batched", ("highway-env", "batched"), asked.across // 2),
+    use_exact_maths()
+    ours, reference = ENGINES
+    pairs: list[tuple[str, tuple[MakeEngine, MakeEngine], int]] = [
+        ("batched", (ours, ours), asked.batched),
+        ("highway-env", (reference, reference), asked.reference),
+        ("batched, then highway-env", (ours, reference), asked.across // 2),
+        ("highway-env, then batched", (reference, ours), asked.across // 2),
     ]
     for what, engines, states in pairs:
         for name, case in CASES.items() if states else ():

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 import charms_bench.envs  # noqa: F401  # registers those of charms-bench
 from charms_bench.roads import TASKS
 from charms_bench.roads.episodes import Episodes
-from charms_bench.testing.road_parity import MOST_DECISIONS, action_for, compare, difference
+from charms_bench.testing.parity import compare, differences
+from charms_bench.testing.road_parity import MOST_DECISIONS, RoadCase, action_for
 from charms_bench.testing.stock_roads import unchanged_idm
 
 TOLERANCE = 1e-6
@@ -95,7 +96,7 @@ def largest_difference(ours: dict[str, NDArray[Any]], stock: dict[str, NDArray[A
     """The largest difference between numbers of an episode; infinite if anything else differs."""
     if any(not np.array_equal(ours[each], stock[each]) for each in ("events", "lengths")):
         return np.inf
-    return difference(ours["numbers"], stock["numbers"])
+    return float(differences(ours["numbers"], stock["numbers"]).max(initial=0.0))
 
 
 def values(contestant: str) -> dict[str, NDArray[np.float64]]:
@@ -131,9 +132,9 @@ def main() -> None:
         return
     against_stock.simulate_in_processes(__file__)
     print(given.road)
-    found = compare(given.road, range(given.starts), decisions=0, tolerance=AT_START)
+    found = compare(RoadCase(given.road), range(given.starts), steps=0, tolerance=AT_START)
     print(
-        f"  {len(found.differing)} of {found.episodes} starts differ, "
+        f"  {len(found.differences)} of {found.episodes} starts differ, "
         f"by at most {found.largest_at_start:.1e}"
     )
     apart = {}

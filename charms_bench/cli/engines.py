@@ -1,9 +1,8 @@
 """`verify`, `bench` and `warm-up`: compare the engine with highway-env, and compile it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -21,14 +20,6 @@ from charms_bench.cli.terminal import (
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.words import counted
 
-Road = Annotated[
-    str | None,
-    typer.Option(
-        help="Use one of highway-env's other environments, such as merge-v0, instead of the "
-        "motorway."
-    ),
-]
-
 
 @app.command(rich_help_panel=arguments.ENGINE)
 def verify(
@@ -42,99 +33,64 @@ def verify(
     continuous: bool = typer.Option(
         False, "--continuous", help="Drive the egos with random accelerations and steering angles."
     ),
-    road: Road = None,
+    road: str | None = typer.Option(
+        None,
+        help="Compare one of highway-env's other environments, such as merge-v0, or the road in a "
+        "file.",
+    ),
     starts: bool = typer.Option(
         False, "--starts", help="Compare only the starts of the episodes of --road."
     ),
     workers: arguments.Workers = None,
     as_json: arguments.Json = False,
 ) -> None:
-    """Compare the compiled engine with highway-env's own vehicles.
+    """Compare the compiled engines with highway-env's own vehicles.
 
     Both use the same elementary functions. The exit code is 1 if the engines differ.
     """
     from charms_bench.foundation.progress import progress
     from charms_bench.runs.document import Document
     from charms_bench.runs.suite import check_agents, suite_of
-    from charms_bench.testing import verify as verification
-    from charms_bench.testing.road_parity import roads_of
+    from charms_bench.testing import parity
+    from charms_bench.testing.verify import case_on, cases_of, default_cases
 
+    if starts and road is None:
+        raise InputError("--starts needs --road")
+    cases: Sequence[parity.Case]
     if road is not None:
         if suite is not None or continuous:
             raise InputError("--road excludes --suite and --continuous")
-        roads = [(road, _known(road), None)]
-        _verify_roads(roads, episodes or 20, seed, starts, workers, as_json)
-    if starts:
-        raise InputError("--starts needs --road")
-    if suite is None:
-        cases, count = verification.default_cases(continuous)
+        cases, count = [case_on(road)], 20
+    elif suite is None:
+        cases, count = default_cases(continuous)
     elif continuous:
         raise InputError("--suite and --continuous exclude each other; a suite names its egos")
     else:
         document = Document(suite)
         loaded = suite_of(document)
         check_agents(document, loaded)
-        if loaded.roads:
-            _verify_roads(roads_of(loaded), episodes or 20, seed, starts, workers, as_json)
-        cases, count = verification.cases_of(loaded), 10
+        cases, count = cases_of(loaded), 10
     count = episodes or count
     charms_bench.warm_up()
+    most = {"steps": 0} if starts else {}
     with progress("episodes", count * len(cases)) as bar:
-        results = verification.verify(cases, count, seed, workers, lambda done: bar("", done))
-    differing = sum(len(result.differences) for result in results)
-    records = [{**asdict(each), "case": each.case.title} for each in results]
+        seeds = range(seed, seed + count)
+        found = parity.verify(cases, seeds, workers, lambda done: bar("", done), **most)
+    differing = sum(len(each.differences) for each in found)
     code = FAIL if differing else 0
+    records = [asdict(each) for each in found]
     if as_json:
         end_with_json(records, code)
-    forms = dict.fromkeys(("episodes", "steps", "lane_changes", "crashed"), ",.0f")
-    forms |= {"largest": ".1e", "differing": ".0f"}
+    forms = dict.fromkeys(("episodes", "steps", "crashed", "differing"), ",.0f")
+    forms |= {"largest": ".1e", "largest_at_start": ".1e"}
     counts = [each | {"differing": len(each["differences"])} for each in records]
     print_records("case", counts, forms)
-    for r in results:
-        for d in r.differences:
-            say(
-                f"{r.case.title}: episode {d.episode}, simulation step {d.step}, vehicle "
-                f"{d.vehicle}: {d.quantity} {d.batched!r} (batched), {d.highway_env!r} "
-                "(highway-env)"
-            )
-    total = counted(sum(r.episodes for r in results), "episode")
+    for each in found:
+        for difference in each.differences:
+            say(f"{each.case}: {difference}")
+    total = counted(sum(each.episodes for each in found), "episode")
     verdict = f"{differing} of {total} differ" if differing else "the engines agree"
     say(f"{total}: {verdict}.")
-    raise typer.Exit(code)
-
-
-def _verify_roads(
-    roads: Sequence[tuple[str, str, Mapping[str, Any] | None]],
-    episodes: int,
-    seed: int,
-    starts: bool,
-    workers: int | None,
-    as_json: bool,
-) -> NoReturn:
-    """Compares roads, given by their titles, highway-env's names and configurations."""
-    from charms_bench.foundation.progress import progress
-    from charms_bench.testing.road_parity import MOST_DECISIONS, verify_road
-
-    decisions = 0 if starts else MOST_DECISIONS
-    with progress("episodes", episodes * len(roads)) as bar:
-        results = {
-            title: verify_road(
-                name, episodes, seed, workers, lambda done: bar("", done), config, decisions
-            )
-            for title, name, config in roads
-        }
-    records = [
-        {**asdict(found), "name": title, "differing": len(found.differing)}
-        for title, found in results.items()
-    ]
-    code = FAIL if any(found.differing for found in results.values()) else 0
-    if as_json:
-        end_with_json(records, code)
-    forms = dict.fromkeys(("episodes", "decisions", "crashed", "differing"), ",.0f")
-    print_records("name", records, forms | {"largest": ".1e", "largest_at_start": ".1e"})
-    for title, found in results.items():
-        for each in found.differing:
-            say(f"{title}: {each}" if len(roads) > 1 else each)
     raise typer.Exit(code)
 
 
@@ -178,7 +134,11 @@ def bench(
         help="Measure environments in which a program drives all vehicles with random actions; "
         "the speed is in decisions of vehicles per second.",
     ),
-    road: Road = None,
+    road: str | None = typer.Option(
+        None,
+        help="Measure one of highway-env's other environments, such as merge-v0, instead of the "
+        "motorway.",
+    ),
     scale: Path | None = typer.Option(
         None,
         callback=arguments.drawable,

@@ -1,4 +1,4 @@
-"""The two engines, `batched` and `highway-env`, and the rules that both follow.
+"""What an engine is, and the rules that all follow.
 
 In one simulation step every driver model acts, in the order of the engine's `models`. The vehicles
 of one model act in the order of entry, and each sees the target lanes of the vehicles before it.
@@ -9,14 +9,14 @@ A vehicle with continuous actions keeps its acceleration and its steering angle 
 action. As in highway-env, it has no targets: the traffic treats its target speed as 0 and its
 nearest lane as its target lane.
 
-On every x86-64 processor, the engines are equal to the last bit if `highway-env` runs in a process
-that `exact_maths` has prepared. In any other process, the bits of `highway-env` depend on the
-processor, NumPy, OpenBLAS and the C library.
+`testing.reference_engine` is highway-env itself behind this interface. On every x86-64 processor,
+it is equal to the last bit in a process that `testing.exact_maths` has prepared. In any other one,
+its bits depend on the processor, NumPy, OpenBLAS and the C library.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +31,6 @@ from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, 
 
 if TYPE_CHECKING:
     from charms_bench.engine.state import SceneState
-
-EngineName = Literal["batched", "highway-env"]
-ENGINES: tuple[EngineName, ...] = ("batched", "highway-env")
 
 
 class Engine(Protocol):
@@ -133,37 +130,26 @@ class Engine(Protocol):
         """
 
 
-MakeEngine = Callable[..., Engine]
-"""Makes an engine from the other arguments of `make_engine`."""
+class MakeEngine(Protocol):
+    """The class of an engine, or what makes one."""
 
+    def __call__(
+        self,
+        settings: SceneSettings,
+        scenes: int,
+        models: Mapping[int, DriverModel],
+        continuous: Collection[int] = (),
+        memory: int = 0,
+        prescribed: Collection[int] = (),
+        own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
+        policies: Mapping[int, Policy] = MappingProxyType({}),
+    ) -> Engine:
+        """An engine of B scenes; nothing is spawned yet.
 
-def make_engine(
-    name: EngineName | MakeEngine,
-    settings: SceneSettings,
-    scenes: int,
-    models: Mapping[int, DriverModel],
-    continuous: Collection[int] = (),
-    memory: int = 0,
-    prescribed: Collection[int] = (),
-    own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
-    policies: Mapping[int, Policy] = MappingProxyType({}),
-) -> Engine:
-    """An engine of B scenes, by its name or by what makes it; nothing is spawned yet.
-
-    The driver models stand under the index of their agent, in the order in which they act.
-    `command` drives the vehicles of all other agents; the agents `continuous` have continuous
-    actions, and `before_move` decides what the vehicles of `prescribed` do. `memory` is the width
-    of the scene's memory. `own_actions` are the meta-actions of the agents that have other ones
-    than highway-env's, and `policies` are the policies, whose observations decide how vehicles act
-    on a road with a name.
-    """
-    of_agents = models, continuous, memory, prescribed, own_actions
-    if callable(name):
-        return name(settings, scenes, *of_agents, policies)
-    if name == "batched":
-        from charms_bench.engine.batched import BatchedEngine
-
-        return BatchedEngine(settings, scenes, *of_agents)
-    from charms_bench.engine.highway_env import HighwayEnvEngine
-
-    return HighwayEnvEngine(settings, scenes, *of_agents)
+        The driver models stand under the index of their agent, in the order in which they act.
+        `command` drives the vehicles of all other agents; the agents `continuous` have continuous
+        actions, and `before_move` decides what the vehicles of `prescribed` do. `memory` is the
+        width of the scene's memory. `own_actions` are the meta-actions of the agents that have
+        other ones than highway-env's, and `policies` are the policies, whose observations decide
+        how vehicles act on a road with a name.
+        """

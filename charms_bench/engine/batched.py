@@ -1,4 +1,4 @@
-"""The default engine: thousands of scenes at once, compiled."""
+"""The engine of the straight road: thousands of scenes at once, compiled."""
 
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
@@ -16,7 +16,7 @@ from charms_bench.engine.spawning import spawn, spawn_rule
 from charms_bench.engine.stepping import BeforeMove, advance, advance_put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import seeded
-from charms_bench.plugins.agent import DriverModel
+from charms_bench.plugins.agent import DriverModel, Policy
 from charms_bench.world.actions import Actions, MetaAction, controls_of
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
@@ -33,6 +33,7 @@ class BatchedEngine(Shown):
         memory: int = 0,
         prescribed: Collection[int] = (),
         own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
+        policies: Mapping[int, Policy] = MappingProxyType({}),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.state = self.scene = Scene.empty(settings, scenes, parameters, memory)

@@ -19,8 +19,8 @@ from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.engine.endings import RUNNING, TIME
 from charms_bench.engine.parameters import set_parameters
 from charms_bench.engine.running import RunningEpisodes
+from charms_bench.engine.seats import vacate
 from charms_bench.engine.source import Source
-from charms_bench.engine.state import vacate
 from charms_bench.engine.type_draws import draw_vehicles
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import compiled_of_scenes

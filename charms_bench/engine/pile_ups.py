@@ -6,18 +6,17 @@ scenario prescribes what cannot happen, and an ego that meets the wreck did not 
 
 import numpy as np
 
-from charms_bench.engine import EngineName, MakeEngine, make_engine
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.prescribed import Script
-from charms_bench.engine.state import vacate
+from charms_bench.engine.seats import vacate
 from charms_bench.world.scene import Bools, Ints, SceneSettings
 
 AT_ONCE = 2**14
 """Vehicles that are moved together."""
 
 
-def pile_ups(
-    settings: SceneSettings, numbers: Ints, engine: EngineName | MakeEngine = "batched"
-) -> Bools:
+def pile_ups(settings: SceneSettings, numbers: Ints, engine: MakeEngine = BatchedEngine) -> Bools:
     """(R,) whether prescribed vehicles collide at the points (R,) of the settings' scenario.
 
     They move without the ego and without the vehicles of agents, until the end of an episode. On a
@@ -36,10 +35,10 @@ def pile_ups(
 
 
 def _collide(
-    settings: SceneSettings, numbers: Ints, is_there: Bools, name: EngineName | MakeEngine
+    settings: SceneSettings, numbers: Ints, is_there: Bools, make_engine: MakeEngine
 ) -> Bools:
     assert settings.scenario is not None
-    engine = make_engine(name, settings, numbers.size, {}, prescribed=[0])
+    engine = make_engine(settings, numbers.size, {}, prescribed=[0])
     rows, seeds = np.arange(numbers.size), numbers.astype(np.uint64)
     scene, before_move = engine.state, None
     if settings.network is None:

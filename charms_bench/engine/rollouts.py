@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.endings import are_off_road
 from charms_bench.engine.prescribed import TEMPERAMENT
 from charms_bench.engine.running import RunningEpisodes
@@ -98,7 +99,7 @@ class Futures:
         if self._beside is None:
             others, actions = self._planner.rollouts_with, self._planner.actions
             agents, simulation = {others: others_of(self._planner)}, type(self._made)
-            kind = self._made.kind_of_engine if self._on_network else "batched"
+            kind = self._made.make_engine if self._on_network else BatchedEngine
             scenes, traffic = self._scenes, OneAgent(others)
             self._beside = simulation(
                 self._made.settings, scenes, None, traffic, agents, kind, actions=actions

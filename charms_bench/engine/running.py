@@ -7,7 +7,8 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine import EngineName, MakeEngine, make_engine
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.endings import GOAL, RUNNING, TIME, are_off_road
 from charms_bench.errors import (
     PLUGIN_ERRORS,
@@ -48,12 +49,12 @@ class RunningEpisodes:
         ego: str | None,
         traffic: Traffic,
         agents: Mapping[str, Agent],
-        engine: EngineName | MakeEngine = "batched",
+        engine: MakeEngine = BatchedEngine,
         actions: ActionsLike = "meta",
     ) -> None:
         self.settings = settings
-        self.kind_of_engine = engine
-        """The name of the engine, or what makes it."""
+        self.make_engine = engine
+        """What has made the engine."""
         self.seeds = np.zeros(scenes, dtype=np.uint64)
         """[B] the episodes' seeds."""
         self.steps = np.zeros(scenes, dtype=np.int64)
@@ -139,7 +140,7 @@ class RunningEpisodes:
         memory = max(widths, default=0)
         self.prescribed = [k for k, name in enumerate(self.agents) if name == PRESCRIBED]
         of_agents = models, continuous, memory, self.prescribed, self.own_actions, self.policies
-        self.engine = make_engine(engine, settings, scenes, *of_agents)
+        self.engine = engine(settings, scenes, *of_agents)
 
     @property
     def scene(self) -> Scene:

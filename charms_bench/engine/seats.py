@@ -1,9 +1,9 @@
-"""Which agent drives which vehicle."""
+"""Which agent drives which vehicle, and the places without one."""
 
 import numpy as np
 
 from charms_bench.foundation.compiled import compiled
-from charms_bench.world.scene import Bools, Ints
+from charms_bench.world.scene import VACANT_X_M, Bools, Ints, Scene
 
 
 @compiled
@@ -66,3 +66,16 @@ def vehicles_of(
                 rows[found], places[k] = b, i
                 found += 1
     return rows[:found].copy(), places[:found].copy()
+
+
+def vacate(scene: Scene, rows: Ints) -> None:
+    """Puts the vehicles of empty places where nobody meets them."""
+    empty = ~scene.present[rows]
+    if not empty.any():
+        return
+    for name in ("y", "heading", "speed", "acceleration", "target_speed", "target_lane"):
+        getattr(scene, name)[rows] *= ~empty
+    for name in ("crashed", "impact"):
+        getattr(scene, name)[rows] &= ~empty
+    vacant_x = VACANT_X_M - 1000.0 * np.arange(scene.x.shape[1])
+    scene.x[rows] = np.where(empty, vacant_x, scene.x[rows])

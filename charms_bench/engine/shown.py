@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.state import vacate
+from charms_bench.engine.seats import vacate
 from charms_bench.engine.views import Views
 from charms_bench.world.moments import Moments
 from charms_bench.world.plan import Plan

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine import EngineName, MakeEngine
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.collision_kinds import (
     ANY_ANGLE,
     NO_COLLISION,
@@ -43,7 +44,7 @@ class Simulation(RunningEpisodes):
         traffic: Assigns a driver to each of the other vehicles. A vehicle with an empty name is
             driven by `command`. If there are such vehicles, only time ends an episode.
         agents: All agents that `ego` and `traffic` name, by name.
-        engine: `batched` or `highway-env`, or what makes the engine.
+        engine: what makes the engine; by default that of the straight road.
         actions: The actions given to `step`, as `Policy.actions`.
 
     Raises:
@@ -58,7 +59,7 @@ class Simulation(RunningEpisodes):
         ego: str | None,
         traffic: Traffic,
         agents: Mapping[str, Agent],
-        engine: EngineName | MakeEngine = "batched",
+        engine: MakeEngine = BatchedEngine,
         actions: ActionsLike = "meta",
     ) -> None:
         super().__init__(settings, scenes, ego, traffic, agents, engine, actions)

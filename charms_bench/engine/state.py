@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.parameters import set_parameters
 from charms_bench.engine.running import RunningEpisodes
+from charms_bench.engine.seats import vacate
 from charms_bench.engine.source import Source
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.generator import WORDS
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.road import position
-from charms_bench.world.scene import VACANT_X_M, Bools, Floats, Ints, Scene, SceneSettings
+from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings
 
 OF_SCENES = ("seeds", "steps", "ending", "generator", "ego", "active", "network")
 """The arrays of scenes; all other arrays are of vehicles."""
@@ -269,19 +270,6 @@ def restore(
         source.resume(rows)
     simulation.engine.restore(rows, state.seeds, state.network)
     set_parameters(simulation, rows)
-
-
-def vacate(scene: Scene, rows: Ints) -> None:
-    """Puts the vehicles of empty places where nobody meets them."""
-    empty = ~scene.present[rows]
-    if not empty.any():
-        return
-    for name in ("y", "heading", "speed", "acceleration", "target_speed", "target_lane"):
-        getattr(scene, name)[rows] *= ~empty
-    for name in ("crashed", "impact"):
-        getattr(scene, name)[rows] &= ~empty
-    vacant_x = VACANT_X_M - 1000.0 * np.arange(scene.x.shape[1])
-    scene.x[rows] = np.where(empty, vacant_x, scene.x[rows])
 
 
 def check_settings(found: SceneSettings, expected: SceneSettings) -> None:

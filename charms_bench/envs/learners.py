@@ -9,7 +9,8 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from charms_bench.engine import EngineName, MakeEngine
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION
 from charms_bench.engine.endings import GOAL, OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, are_off_road
 from charms_bench.engine.simulation import Simulation
@@ -316,9 +317,7 @@ class FromOutside(Traffic):
         return names
 
 
-def _engine_of(
-    settings: SceneSettings, agents: Mapping[str, Agent], title: str
-) -> EngineName | MakeEngine:
+def _engine_of(settings: SceneSettings, agents: Mapping[str, Agent], title: str) -> MakeEngine:
     """The engine of the straight road, or that of a road; says so if it has to be compiled.
 
     Raises:
@@ -326,7 +325,7 @@ def _engine_of(
     """
     if settings.network is None:
         note_compiling(advance, ENGINE)
-        return "batched"
+        return BatchedEngine
     from charms_bench.roads.carrying_out import advance as advance_on_road
     from charms_bench.roads.engine import RoadEngine
     from charms_bench.roads.settings import problem_of_driver  # slow to import

@@ -17,7 +17,8 @@ import numpy as np
 import polars as pl
 from pydantic import BaseModel
 
-from charms_bench.engine import EngineName, MakeEngine
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, BrokenWordError, RunFolderError
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
@@ -189,10 +190,10 @@ def _of_egos(rows: list[pl.DataFrame]) -> pl.DataFrame:
     return found.sort(*keys_of(found), maintain_order=True)
 
 
-def engine_on(scene: SceneSettings) -> EngineName | MakeEngine:
+def engine_on(scene: SceneSettings) -> MakeEngine:
     """The engine of some scenes: those on highway-env's roads have their own."""
     if scene.network is None:
-        return "batched"
+        return BatchedEngine
     from charms_bench.roads.engine import RoadEngine  # slow to import
 
     return RoadEngine

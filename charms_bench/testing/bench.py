@@ -20,6 +20,7 @@ from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.foundation.workers import Pool
 from charms_bench.testing import contestants as making
 from charms_bench.testing.contestants import OBSERVATION, SEED, Stepping
+from charms_bench.testing.reference_engine import HighwayEnvEngine
 from charms_bench.world.actions import IDLE
 from charms_bench.world.scene import SceneSettings
 
@@ -164,12 +165,13 @@ def scale(
 def _engines(settings: SceneSettings, traffic: str, stack: ExitStack) -> list[Contestant]:
     crowded = settings.model_copy(update={"traffic_vehicles": 199})
     cores, vehicles = os.cpu_count() or 1, settings.vehicles
+    reference = making.compiled(settings, traffic, HighwayEnvEngine, 1)
     together = stack.enter_context(_processes(partial(making.compiled, settings, traffic), cores))
     ours = [
         ("batched", 1, vehicles, making.compiled(settings, traffic)),
         ("batched", cores, vehicles, together),
         ("batched", 1, 200, making.compiled(crowded, traffic)),
-        ("highway-env engine", 1, vehicles, making.compiled(settings, traffic, "highway-env", 1)),
+        ("highway-env engine", 1, vehicles, reference),
         ("highway-env", 1, vehicles, making.highway_env(settings)),
     ]
     return ours + [

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.engine import EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.endings import RUNNING
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.registry import make_agent, make_traffic
@@ -43,7 +44,7 @@ def repeated(step: Callable[[], int]) -> Stepping:
 
 
 def compiled(
-    settings: SceneSettings, traffic: str, engine: EngineName = "batched", scenes: int = SCENES
+    settings: SceneSettings, traffic: str, engine: MakeEngine = BatchedEngine, scenes: int = SCENES
 ) -> Stepping:
     """This engine with an ego that stays idle, its observations and new scenes included."""
     plugin = make_traffic(traffic)

@@ -1,10 +1,8 @@
-"""Compares the vehicles of a road in a file with highway-env's own classes on the same lanes."""
+"""Episodes of IDM vehicles on a road in a file and of highway-env's own on the same lanes."""
 
-from dataclasses import fields
-from functools import partial
+from dataclasses import dataclass, fields
 from importlib import import_module
 from pathlib import Path
-from time import process_time
 from typing import Any
 
 import numpy as np
@@ -15,62 +13,74 @@ from charms_bench.roads.file_road import FileRoad
 from charms_bench.roads.map_lanes import driven_lanes, map_of
 from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.roads.stepping import decide
-from charms_bench.testing.chunks import in_chunks
-from charms_bench.testing.road_parity import Comparison, largest, pairs_of, route_of
+from charms_bench.testing.parity import Values
+from charms_bench.testing.road_parity import route_of, values_of
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
 from charms_bench.world.profile import HIGHWAY_ENV
 from charms_bench.world.road_network import Lane, PolyLane
 
 HZ = 15
-_CHUNK = 5
 
 
-def verify_map(
-    path: Path,
-    episodes: int,
-    vehicles: int = 10,
-    seconds: int = 10,
-    workers: int | None = None,
-) -> Comparison:
-    """Compares episodes in which IDM vehicles drive their routes, second by second.
+@dataclass(frozen=True)
+class MapCase:
+    """A road in a file, on which IDM vehicles drive their routes.
 
     They start as the road's own vehicles do, with their routes, and see vehicles on connected
     lanes. What `file_road` adds to highway-env is off: it looks ahead along the lanes that follow,
     gives way, and has levels.
     """
-    some, seeds = partial(_compare, vehicles=vehicles, seconds=seconds), range(episodes)
-    (found,) = in_chunks(some, [path], seeds, _CHUNK, str, workers, lambda episodes: None)
-    return sum(found, Comparison(path.name))
+
+    path: Path
+    vehicles: int = 10
+    seconds: int = 10
+    label: str = ""
+
+    @property
+    def title(self) -> str:
+        """The label, or the name of the file."""
+        return self.label or self.path.name
+
+    def episode(self) -> "MapEpisode":
+        """One on this road and on the same lanes as highway-env's classes."""
+        return MapEpisode(self)
 
 
-def _compare(path: Path, seeds: range, vehicles: int, seconds: int) -> Comparison:
-    """Compares episodes with highway-env as it computes in this process."""
-    ours = OwnRoad(path, vehicles)
-    ours.start(0)
-    ours.advance(1)  # compiles
-    road = NamedRoad.model_validate({"file": path})
-    network = stock_network(driven_lanes(map_of(path, str(road.sha256))))
-    names = [*network.lanes_dict()]
-    found = Comparison(path.name)
-    for seed in seeds:
-        ours.start(seed)
-        stock = stock_road(ours, network, names)
-        found.episodes += 1
-        for second in range(seconds):
-            began = process_time()
-            ours.advance(1)
-            between = process_time()
-            advance_stock(stock, HZ)
-            found.own_s += between - began
-            found.stock_s += process_time() - between
-            found.decisions += 1
-            apart, what = largest(pairs_of(ours.present, stock.vehicles, names))
-            found.largest = max(found.largest, apart)
-            if apart:
-                found.differing.append(f"episode {seed}, second {second}: {what}")
-                break
-        found.crashed += any(each.crashed for each in stock.vehicles)
-    return found
+class MapEpisode:
+    """The same vehicles on a road in a file and on highway-env's own."""
+
+    step_name = "second"
+
+    def __init__(self, case: MapCase) -> None:
+        self._ours, self._seconds, self._second = OwnRoad(case.path, case.vehicles), case.seconds, 0
+        self._ours.start(0)
+        self._ours.advance(1)  # compiles
+        road = NamedRoad.model_validate({"file": case.path})
+        self._network = stock_network(driven_lanes(map_of(case.path, str(road.sha256))))
+        self._names = [*self._network.lanes_dict()]
+
+    def start(self, seed: int) -> None:
+        self._second = 0
+        self._ours.start(seed)
+        self._stock = stock_road(self._ours, self._network, self._names)
+
+    def advance(self) -> None:
+        self._ours.advance(1)
+        self._second += 1
+
+    def advance_stock(self) -> None:
+        for _ in range(HZ):
+            self._stock.act()
+            self._stock.step(1 / HZ)
+
+    def values(self) -> Values:
+        return values_of(self._ours.present, self._stock.vehicles, self._names)
+
+    def is_over(self) -> bool:
+        return self._second >= self._seconds
+
+    def has_crashed(self) -> bool:
+        return bool(self._stock.vehicles[0].crashed)
 
 
 class OwnRoad:
@@ -155,10 +165,3 @@ def stock_road(ours: OwnRoad, network: Any, names: list[Any]) -> Any:
         vehicle.DELTA = float(row["exponent"])
         road.vehicles.append(vehicle)
     return road
-
-
-def advance_stock(road: Any, steps: int) -> None:
-    """Advances highway-env's road by `steps` simulation steps."""
-    for _ in range(steps):
-        road.act()
-        road.step(1 / HZ)

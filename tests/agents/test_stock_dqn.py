@@ -17,13 +17,14 @@ pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 from charms_agents.training.sb3_export import export_zip
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
 from charms_bench.engine.endings import RUNNING, TIME
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.runs.suite import load_suite
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
@@ -70,7 +71,7 @@ def there(model: Any, seed: int, **scene: Any) -> Episode:
     return actions, crashed
 
 
-def here(path: Path, seed: int, engine: EngineName, **scene: Any) -> Episode:
+def here(path: Path, seed: int, engine: MakeEngine, **scene: Any) -> Episode:
     """An episode of this project, driven by the file that was exported."""
     settings = SceneSettings(profile=PROFILES["highway-env"], ego_slots=1, decision_hz=1, **scene)
     agents = {"dqn": OnnxPolicy(path), "idm_mobil": make_agent("idm_mobil")}

@@ -337,9 +337,12 @@ def test_bench_prints_ratios() -> None:
 def test_verify_and_bench_take_a_road_of_highway_env() -> None:
     result = charms_bench("verify", "--road", "merge-v1", "--episodes", 2, "--json")
     assert result.returncode == 0, result.stdout + result.stderr
-    assert [row["differing"] for row in json.loads(result.stdout)] == [0]
+    assert [row["differences"] for row in json.loads(result.stdout)] == [[]]
+    file = Path(__file__).parents[2] / "suites" / "places" / "roundabout.json"
+    result = charms_bench("verify", "--road", file, "--episodes", 1)
+    assert "1 episode: the engines agree." in result.stdout
     result = charms_bench("verify", "--road", "merge-v1", "--starts", "--json")
-    assert [(row["episodes"], row["decisions"]) for row in json.loads(result.stdout)] == [(20, 0)]
+    assert [(row["episodes"], row["steps"]) for row in json.loads(result.stdout)] == [(20, 0)]
     result = charms_bench("bench", "--road", "merge-v1", "--seconds", 0.1, "--rounds", 1, "--json")
     rows = json.loads(result.stdout)
     assert [row["name"] for row in rows] == ["charms_bench/merge-v1", "highway-env"]
@@ -347,7 +350,7 @@ def test_verify_and_bench_take_a_road_of_highway_env() -> None:
     assert (result.returncode, result.stderr) == (2, "error: --road excludes --vehicles\n")
     result = charms_bench("verify", "--road", "merg-v1")
     assert result.returncode == 2
-    assert "no environment named 'merg-v1'" in result.stderr
+    assert "no file and no environment named 'merg-v1'" in result.stderr
 
 
 def test_ctrl_c_says_what_is_left_and_exits_130(suite_file: Path) -> None:

@@ -11,12 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.traffic import Mixture, OneAgent
 from charms_bench.recording.recording import Recording
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.actions import ActionKind, controls_of
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import Floats, Observations, SceneSettings
@@ -52,7 +54,7 @@ class Answers(Policy):
 def simulation(
     scene: SceneSettings,
     scenes: int = 1,
-    engine: EngineName = "batched",
+    engine: MakeEngine = BatchedEngine,
     ego: str | None = None,
     **traffic: float,
 ) -> Simulation:
@@ -89,7 +91,7 @@ def test_the_control_is_highway_envs_to_the_last_bit(pairs: list[Any], kind: Any
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_vehicle_with_constant_steering_drives_a_circle(engine: EngineName) -> None:
+def test_a_vehicle_with_constant_steering_drives_a_circle(engine: MakeEngine) -> None:
     running = simulation(FREE, engine=engine)
     slip = math.atan(math.tan(math.pi / 8) / 2)
     radius = 2.5 / math.sin(slip)
@@ -106,7 +108,7 @@ def test_a_vehicle_with_constant_steering_drives_a_circle(engine: EngineName) ->
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_full_braking_ends_in_reverse_at_highway_envs_lowest_speed(engine: EngineName) -> None:
+def test_full_braking_ends_in_reverse_at_highway_envs_lowest_speed(engine: MakeEngine) -> None:
     running = simulation(FREE, engine=engine)
     for decision in range(45):
         running.step(action(-1.0, 0.0))
@@ -127,7 +129,7 @@ def test_an_action_is_held_until_the_next() -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(("kind", "target"), [("meta", 1), ("continuous", 0)])
 def test_the_traffic_does_not_change_lanes_ahead_of_a_moving_vehicle(
-    kind: ActionKind, target: int, engine: EngineName
+    kind: ActionKind, target: int, engine: MakeEngine
 ) -> None:
     """The ego on lane 1 is 90 m behind a vehicle on lane 0 that has a slow leader.
 
@@ -178,7 +180,7 @@ def test_off_the_road_an_episode_goes_on_or_ends_as_the_profile_says() -> None:
 @pytest.mark.parametrize("other", ENGINES)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_state_within_an_interval_continues_the_same(
-    engine: EngineName, other: EngineName
+    engine: MakeEngine, other: MakeEngine
 ) -> None:
     scene = SceneSettings(**HIGHWAY, traffic_vehicles=8)
     traffic = {"idm_mobil": 0.5, "weaver": 0.5}
@@ -196,7 +198,7 @@ def test_a_state_within_an_interval_continues_the_same(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_another_driver_takes_over_at_the_speed_of_the_vehicle(engine: EngineName) -> None:
+def test_another_driver_takes_over_at_the_speed_of_the_vehicle(engine: MakeEngine) -> None:
     scene = SceneSettings(**HIGHWAY, traffic_vehicles=2)
     running = simulation(scene, engine=engine, idm_mobil=1.0)
     running.step(action(1.0, 0.0))

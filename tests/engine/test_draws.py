@@ -7,9 +7,11 @@ from charms_baselines.stackelberg import Stackelberg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from charms_bench.engine import ENGINES, EngineName, make_engine
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.draws import LANE, SPEED, ReplayedDraws, draws_of
 from charms_bench.foundation.generator import seeded
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.scene import ARRAYS, Scene, SceneSettings
 
 MODELS = {0: Stackelberg(), 1: IdmMobil()}
@@ -18,9 +20,9 @@ SEEDS = np.arange(40, dtype=np.uint64)
 
 
 def spawned(
-    engine: EngineName, scene: SceneSettings, seeds: np.ndarray, draws: np.ndarray | None = None
+    engine: MakeEngine, scene: SceneSettings, seeds: np.ndarray, draws: np.ndarray | None = None
 ) -> Scene:
-    made = make_engine(engine, scene, seeds.size, MODELS)
+    made = engine(scene, seeds.size, MODELS)
     rows, agents = np.arange(seeds.size), np.minimum(np.arange(scene.vehicles), 1)
     made.reset(rows, seeds, np.tile(agents, (seeds.size, 1)), draws)
     return made.scene
@@ -33,7 +35,7 @@ def assert_same(one: Scene, other: Scene) -> None:
 
 @pytest.mark.parametrize("ego_slots", [1, 6])
 @pytest.mark.parametrize("engine", ENGINES)
-def test_the_draws_of_a_seed_give_the_scene_of_the_seed(engine: EngineName, ego_slots: int) -> None:
+def test_the_draws_of_a_seed_give_the_scene_of_the_seed(engine: MakeEngine, ego_slots: int) -> None:
     scene = SETTINGS.model_copy(update={"ego_slots": ego_slots})
     draws = draws_of(seeded(SEEDS), scene)
     assert draws.shape == (40, 4 * 13 + 1)
@@ -59,7 +61,7 @@ def test_draws_at_a_quarter_and_a_half_place_vehicles_as_computed_by_hand() -> N
     # Half of 6 slots is slot 3, a quarter of 4 lanes is lane 1, and 33 (0.7 + 0.1 / 2) is 24.75.
     draws = np.full((1, 4 * 13 + 1), 0.5)
     draws[0, LANE::4] = 0.25
-    scene = spawned("batched", SETTINGS, SEEDS[:1], draws)
+    scene = spawned(BatchedEngine, SETTINGS, SEEDS[:1], draws)
     assert scene.ego[0] == 3
     assert (scene.lane[0] == 1).all()
     np.testing.assert_allclose(np.delete(scene.speed[0], 3), 24.75)

@@ -8,12 +8,14 @@ from charms_baselines.idm_mobil import IdmMobil
 from charms_baselines.varied_idm import VariedIdmMobil
 
 from charms_bench import DriverModel, Policy, load_state, save_state
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import OF_SCENES, SceneState
 from charms_bench.errors import InputError
 from charms_bench.plugins.traffic import Mixture
 from charms_bench.recording.recording import Recording
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.actions import Actions
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, SceneSettings, Vehicles
@@ -51,7 +53,7 @@ MIXTURE = {"idm_mobil": 0.4, "varied": 0.3, "wanderer": 0.2, "shy": 0.1}
 
 
 def simulation(
-    engine: EngineName,
+    engine: MakeEngine,
     vehicles: int = 10,
     ego: str = "wanderer",
     traffic: dict[str, float] = MIXTURE,
@@ -63,7 +65,7 @@ def simulation(
     return Simulation(settings, SCENES, ego, Mixture(traffic), agents, engine)
 
 
-def started(engine: EngineName, **others: Any) -> Simulation:
+def started(engine: MakeEngine, **others: Any) -> Simulation:
     made = simulation(engine, **others)
     made.reset(np.arange(SCENES, dtype=np.uint64))
     for _ in range(2):
@@ -92,7 +94,7 @@ def level(state: SceneState) -> SceneState:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("change", [lambda state: state, level])
-def test_nothing_depends_on_the_places_of_vehicles(engine: EngineName, change: Any) -> None:
+def test_nothing_depends_on_the_places_of_vehicles(engine: MakeEngine, change: Any) -> None:
     made, other = started(engine), simulation(engine)
     start = change(made.state())
     order = np.random.default_rng(5).permutation(10)
@@ -109,7 +111,7 @@ def test_nothing_depends_on_the_places_of_vehicles(engine: EngineName, change: A
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_scene_that_a_vehicle_has_left_is_one_in_which_it_is_not(engine: EngineName) -> None:
+def test_a_scene_that_a_vehicle_has_left_is_one_in_which_it_is_not(engine: MakeEngine) -> None:
     made, smaller = started(engine), simulation(engine, vehicles=9)
     state = made.state()
     gone = (state.ego + 3) % 10
@@ -133,7 +135,7 @@ def test_a_scene_that_a_vehicle_has_left_is_one_in_which_it_is_not(engine: Engin
 
 
 def test_nothing_is_recorded_of_an_empty_place() -> None:
-    made, smaller = started("batched"), simulation("batched", vehicles=9)
+    made, smaller = started(BatchedEngine), simulation(BatchedEngine, vehicles=9)
     state = made.state()
     state = state.without(np.full(SCENES, 9))  # the ego is one of the first six
     made.restore(state)
@@ -178,7 +180,7 @@ def test_both_engines_agree_while_vehicles_come_and_go() -> None:
 
 
 def test_a_newcomer_is_a_vehicle_of_the_profiles_size_that_remembers_nothing() -> None:
-    state = started("batched").state()
+    state = started(BatchedEngine).state()
     place = (state.ego + 1) % 10
     speed, at = np.full(SCENES, 28.0), (np.arange(SCENES), place)
     x = np.full(SCENES, 1000.0)
@@ -193,7 +195,7 @@ def test_a_newcomer_is_a_vehicle_of_the_profiles_size_that_remembers_nothing() -
 
 
 def test_a_full_scene_the_ego_and_an_empty_place_are_rejected() -> None:
-    state = started("batched").state()
+    state = started(BatchedEngine).state()
     values = np.zeros(SCENES, dtype=int), np.full(SCENES, 100.0), np.full(SCENES, 30.0)
     with pytest.raises(InputError, match="scene 0 is full: it has 10 vehicles already"):
         state.joined_by("idm_mobil", *values)
@@ -205,7 +207,7 @@ def test_a_full_scene_the_ego_and_an_empty_place_are_rejected() -> None:
 
 
 def test_a_state_file_keeps_empty_places_and_numbers(tmp_path: Any) -> None:
-    state = started("batched").state()
+    state = started(BatchedEngine).state()
     state = state.without((state.ego + 1) % 10)
     save_state(state, tmp_path / "state.json")
     assert load_state(tmp_path / "state.json") == state

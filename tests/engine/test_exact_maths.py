@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from charms_bench.engine.exact_maths import use_exact_maths
+from charms_bench.testing.exact_maths import use_exact_maths
 
 PROGRAM = """
 import os
@@ -13,13 +13,12 @@ os.environ["OPENBLAS_CORETYPE"] = "Nehalem"
 import numpy as np
 from highway_env.road import spline
 from highway_env.vehicle import behavior, controller, kinematics, objects
-from charms_bench.engine.exact_maths import use_exact_maths
+from charms_bench.testing.exact_maths import use_exact_maths
 from charms_bench.foundation import maths
 
 stock = np.arctan
-use_exact_maths("batched")
 assert controller.np is np
-use_exact_maths("highway-env")
+use_exact_maths()
 assert np.arctan is stock
 for module in (behavior, controller, kinematics, objects):
     for theirs, ours in (("sin", "sin"), ("cos", "cos"), ("tan", "tan"), ("arcsin", "asin"),
@@ -29,7 +28,7 @@ for module in (behavior, controller, kinematics, objects):
     assert module.np.power(0.3, 4.1) == maths.power(0.3, 4.1)
     assert module.np.power(0.3, 2) == 0.3 * 0.3
     assert module.np.sqrt is np.sqrt
-use_exact_maths("highway-env")  # a worker does so before each of its tasks
+use_exact_maths()  # a worker does so before each of its tasks
 assert spline.CurvePose(0.0, 0.0, 3.0, 4.0).normal.tolist() == [0.6, 0.8]
 """
 
@@ -43,4 +42,4 @@ def test_a_process_with_another_setting_of_openblas_is_rejected(
 ) -> None:
     monkeypatch.delenv("OPENBLAS_CORETYPE", raising=False)
     with pytest.raises(RuntimeError, match="exact maths"):
-        use_exact_maths("highway-env")
+        use_exact_maths()

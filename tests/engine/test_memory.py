@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from charms_bench import IDLE, DriverModel, Policy, load_state, save_state
-from charms_bench.engine import EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.rollouts import Futures
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, InputError
@@ -64,7 +65,7 @@ class Hesitant(DriverModel):
 
 
 def simulation(
-    ego: Agent, traffic: Agent | None = None, scenes: int = 12, engine: EngineName = "batched"
+    ego: Agent, traffic: Agent | None = None, scenes: int = 12, engine: MakeEngine = BatchedEngine
 ) -> Simulation:
     agents = {"ego": ego, "traffic": traffic or make_agent("idm_mobil")}
     return Simulation(SETTINGS, scenes, "ego", OneAgent("traffic"), agents, engine)

@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT, LANE_RIGHT, SLOWER
 from charms_bench.world.scene import SceneSettings
 
 STEPS = {"name": "charms", "target_speed_steps_mps": [0.25, 0.5, 1.0, 2.0], "ego_speed_mps": 25.0}
 
 
-def driven_from_outside(engine: EngineName) -> Simulation:
+def driven_from_outside(engine: MakeEngine) -> Simulation:
     settings = SceneSettings.model_validate({"profile": STEPS, "ego_slots": 1})
     agents = {"idm_mobil": make_agent("idm_mobil")}
     made = Simulation(settings, 1, None, OneAgent("idm_mobil"), agents, engine)
@@ -33,7 +35,7 @@ def driven_from_outside(engine: EngineName) -> Simulation:
     ],
 )
 def test_repeated_commands_change_the_target_speed_by_growing_steps(
-    engine: EngineName, commands: list[int], changes: list[float]
+    engine: MakeEngine, commands: list[int], changes: list[float]
 ) -> None:
     made, targets = driven_from_outside(engine), [25.0]
     for command in commands:
@@ -43,7 +45,7 @@ def test_repeated_commands_change_the_target_speed_by_growing_steps(
 
 
 def test_a_new_driver_begins_with_the_smallest_step() -> None:
-    made = driven_from_outside("batched")
+    made = driven_from_outside(BatchedEngine)
     made.step(np.array([FASTER]))
     state = made.state()
     everyone = np.ones(state.drivers.shape, dtype=np.bool_)

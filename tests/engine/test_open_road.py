@@ -9,7 +9,8 @@ from charms_baselines.varied_idm import VariedIdmMobil
 from pydantic import ValidationError
 from scipy import stats
 
-from charms_bench.engine import EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
 from charms_bench.plugins.traffic import Mixture, Traffic
@@ -38,7 +39,7 @@ VARIED = Mixture({"varied": 0.6, "idm_mobil": 0.4})
 
 
 def started(
-    engine: EngineName = "batched",
+    engine: MakeEngine = BatchedEngine,
     seeds: int = 4,
     traffic: Traffic = VARIED,
     **changes: Any,

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from charms_bench import DEFAULT_ACTIONS, MetaAction, Policy, with_speed_steps
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
@@ -15,6 +16,7 @@ from charms_bench.plugins.traffic import OneAgent
 from charms_bench.roads.engine import RoadEngine
 from charms_bench.roads.settings import on_road
 from charms_bench.testing import agent_rules
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT, SLOWER, ActionsLike
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scene import Floats, Observations, SceneSettings
@@ -39,7 +41,7 @@ class Scripted(Policy):
 
 
 def simulation(
-    engine: EngineName, ego: Policy, other: Policy | None = None, **fields: Any
+    engine: MakeEngine, ego: Policy, other: Policy | None = None, **fields: Any
 ) -> Simulation:
     settings = SceneSettings.model_validate((PAIR if other else ALONE) | fields)
     agents = {"ego": ego, "other": other or Scripted([IDLE])}
@@ -49,7 +51,7 @@ def simulation(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_braking_by_a_set_value_is_limited_by_the_speed_controller(engine: EngineName) -> None:
+def test_braking_by_a_set_value_is_limited_by_the_speed_controller(engine: MakeEngine) -> None:
     made = simulation(engine, Scripted([BRAKE]), profile=SLOW)
     # The ego keeps (target - speed) / 0.8 s = -6 / 0.8 = -7.5 m/s2 for each third of a second.
     for speed in (27.5, 25.0, 22.5, 20.0):
@@ -59,7 +61,7 @@ def test_braking_by_a_set_value_is_limited_by_the_speed_controller(engine: Engin
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_controller_that_acts_in_every_step_brakes_less_and_less(engine: EngineName) -> None:
+def test_a_controller_that_acts_in_every_step_brakes_less_and_less(engine: MakeEngine) -> None:
     made = simulation(engine, Scripted([BRAKE]), profile="naturalistic")
     # Five steps of 1/15 s each take 1 / (15 * 0.8) off the 6 m/s that are left.
     left, braking = 6.0, []
@@ -73,7 +75,7 @@ def test_a_controller_that_acts_in_every_step_brakes_less_and_less(engine: Engin
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_braking_ends_a_row_of_repeated_steps(engine: EngineName) -> None:
+def test_braking_ends_a_row_of_repeated_steps(engine: MakeEngine) -> None:
     actions = with_speed_steps(0.25, 0.5, actions=SIX)
     made, found = simulation(engine, Scripted([SLOWER, SLOWER, BRAKE, SLOWER], actions)), []
     for _ in range(4):
@@ -87,7 +89,7 @@ def test_braking_ends_a_row_of_repeated_steps(engine: EngineName) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_policies_of_one_scene_have_different_actions(engine: EngineName) -> None:
+def test_policies_of_one_scene_have_different_actions(engine: MakeEngine) -> None:
     reordered = (
         MetaAction("HOLD"),
         MetaAction("UP", speed_steps_mps=(0.5, 1.5)),
@@ -105,7 +107,7 @@ def test_policies_of_one_scene_have_different_actions(engine: EngineName) -> Non
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_the_target_speeds_of_a_profile_are_those_of_its_own_commands(engine: EngineName) -> None:
+def test_the_target_speeds_of_a_profile_are_those_of_its_own_commands(engine: MakeEngine) -> None:
     gentle = MetaAction("GENTLE", speed_steps_mps=(0.5,))
     profile = {"name": "highway-env", "ego_speed_mps": 26.0}
     own = Scripted([FASTER, 5, SLOWER], (*DEFAULT_ACTIONS, gentle))
@@ -155,7 +157,7 @@ def test_a_policy_with_six_actions_fulfils_the_contract(rule: Callable[[], None]
 )
 def test_actions_that_are_not_possible_name_the_attribute(actions: Any, what: str) -> None:
     with pytest.raises(InputError, match=f"agent 'ego': its attribute `actions` {what}"):
-        simulation("batched", Scripted([IDLE], actions))
+        simulation(BatchedEngine, Scripted([IDLE], actions))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,8 @@ import pytest
 from trios import flowing_road, write_trio
 
 from charms_bench import Policy, load_state, save_state
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.rollouts import Futures
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
@@ -18,6 +19,7 @@ from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.consistency import checked
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.actions import (
     FASTER,
     IDLE,
@@ -50,7 +52,7 @@ class Scripted(Policy):
 
 
 def simulation(
-    engine: EngineName, ego: Agent | None, other: Agent | None = None, **fields: Any
+    engine: MakeEngine, ego: Agent | None, other: Agent | None = None, **fields: Any
 ) -> Simulation:
     agents = {"ego": ego, "other": other or Scripted([IDLE])}
     settings = SceneSettings.model_validate((ALONE if other is None else PAIR) | fields)
@@ -69,7 +71,7 @@ def targets(made: Simulation, decisions: int) -> Floats:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_speeds_follow_the_policys_steps(engine: EngineName) -> None:
+def test_speeds_follow_the_policys_steps(engine: MakeEngine) -> None:
     script = [FASTER, FASTER, FASTER, SLOWER, IDLE, SLOWER]
     made = simulation(engine, Scripted(script, GROWING))
     # Targets 30.25, 30.75, 31.75, 31.5, 31.5 and 31.25 m/s, by hand. In a decision of 1/3 s, the
@@ -90,7 +92,7 @@ def test_speeds_follow_the_policys_steps(engine: EngineName) -> None:
     ],
 )
 def test_each_policy_of_a_scene_has_its_own_steps(
-    engine: EngineName, ego: Any, other: Any, changes: tuple[list[float], list[float]]
+    engine: MakeEngine, ego: Any, other: Any, changes: tuple[list[float], list[float]]
 ) -> None:
     script = [FASTER, FASTER, FASTER, LANE_LEFT, FASTER]
     drivers = Scripted(script, ego), Scripted(script, other)
@@ -99,7 +101,7 @@ def test_each_policy_of_a_scene_has_its_own_steps(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_policy_without_steps_keeps_those_of_the_profile(engine: EngineName) -> None:
+def test_a_policy_without_steps_keeps_those_of_the_profile(engine: MakeEngine) -> None:
     profile = {"name": "charms", "ego_speed_mps": 25.0, "target_speed_steps_mps": GROWING}
     drivers = Scripted([SLOWER], (1.0,)), Scripted([FASTER])
     made = simulation(engine, *drivers, profile=profile)
@@ -109,7 +111,7 @@ def test_a_policy_without_steps_keeps_those_of_the_profile(engine: EngineName) -
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_steps_take_precedence_over_target_speeds(engine: EngineName) -> None:
+def test_steps_take_precedence_over_target_speeds(engine: MakeEngine) -> None:
     stepwise = simulation(engine, Scripted([FASTER], (0.5, 1.5)), profile=IN_SPEEDS)
     np.testing.assert_array_equal(targets(stepwise, 4)[:, 0], [26.0, 26.5, 28.0, 29.5, 30.0])
     plain = simulation(engine, Scripted([FASTER]), profile=IN_SPEEDS)
@@ -117,7 +119,7 @@ def test_steps_take_precedence_over_target_speeds(engine: EngineName) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_learner_driven_from_outside_keeps_the_profiles_steps(engine: EngineName) -> None:
+def test_a_learner_driven_from_outside_keeps_the_profiles_steps(engine: MakeEngine) -> None:
     made = simulation(engine, None, Scripted([FASTER], GROWING))
     start = made.scene.target_speed[0].copy()
     made.step(np.array([SLOWER]))
@@ -125,7 +127,7 @@ def test_a_learner_driven_from_outside_keeps_the_profiles_steps(engine: EngineNa
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_state_that_is_saved_in_a_repeat_continues_it(engine: EngineName, tmp_path: Path) -> None:
+def test_a_state_that_is_saved_in_a_repeat_continues_it(engine: MakeEngine, tmp_path: Path) -> None:
     def driven() -> Simulation:
         slow = {"name": "charms", "ego_speed_mps": 25.0}
         return simulation(engine, Scripted([FASTER], GROWING), profile=slow)
@@ -141,7 +143,7 @@ def test_a_state_that_is_saved_in_a_repeat_continues_it(engine: EngineName, tmp_
 
 def test_a_new_driver_begins_with_its_own_first_step() -> None:
     drivers = Scripted([FASTER], GROWING), Scripted([FASTER], (0.1, 0.7))
-    made = simulation("batched", *drivers, profile={"name": "charms", "ego_speed_mps": 25.0})
+    made = simulation(BatchedEngine, *drivers, profile={"name": "charms", "ego_speed_mps": 25.0})
     targets(made, 3)
     made.restore(made.state().seated(made.scene.ego, "other"))
     np.testing.assert_allclose(targets(made, 2)[:, 0], [26.75, 26.85, 27.55], atol=1e-12)
@@ -188,7 +190,7 @@ def test_steps_beside_the_actions_are_rejected() -> None:
     policy.target_speed_steps_mps = GROWING  # type: ignore[attr-defined]
     what = r"agent 'ego': its attribute `target_speed_steps_mps` .* `actions = with_speed_steps"
     with pytest.raises(InputError, match=what):
-        simulation("batched", policy)
+        simulation(BatchedEngine, policy)
 
 
 def test_a_policy_that_is_held_to_its_word_keeps_its_steps() -> None:

@@ -8,12 +8,14 @@ from charms_baselines.idm_mobil import IdmMobil
 from charms_baselines.varied_idm import VariedIdmMobil
 from scipy import stats
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError, ScenarioError
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
+from charms_bench.testing.reference_engine import ENGINES, HighwayEnvEngine
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
@@ -23,7 +25,7 @@ SMALL = SceneSettings(duration_s=4.0, traffic_vehicles=7, density=2.0)
 
 
 def started(
-    engine: EngineName = "batched",
+    engine: MakeEngine = BatchedEngine,
     seeds: tuple[int, ...] = (3, 4),
     ego: str = "varied",
     traffic: Traffic | None = None,
@@ -49,7 +51,7 @@ def scenario_of(points: list[dict[str, float]], **changes: Any) -> SceneSettings
     return SceneSettings(profile=profile, duration_s=3.0).of_scenario(made)
 
 
-def placed(settings: SceneSettings, engine: EngineName = "batched") -> Simulation:
+def placed(settings: SceneSettings, engine: MakeEngine = BatchedEngine) -> Simulation:
     assert settings.scenario is not None
     traffic = TrafficSpec(scenario=settings.scenario).make()
     return started(engine, (0, 1), "idm_mobil", traffic, settings)
@@ -66,7 +68,7 @@ def test_parameters_are_uniform_in_their_ranges_and_independent() -> None:
 
 
 def test_parameters_follow_from_the_seed_alone() -> None:
-    one, other = started(seeds=(3, 4, 5)), started("highway-env", seeds=(5, 3))
+    one, other = started(seeds=(3, 4, 5)), started(HighwayEnvEngine, seeds=(5, 3))
     np.testing.assert_array_equal(one.scene.parameters[[2, 0]], other.scene.parameters)
     assert np.ptp(one.scene.parameters[:, :, 3]) > 1.0
     assert not np.array_equal(one.scene.parameters[0], one.scene.parameters[1])
@@ -94,7 +96,7 @@ def test_a_driver_that_takes_over_has_parameters() -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_in_a_scenario_parameters_are_the_middles_of_their_ranges_or_as_given(
-    engine: EngineName,
+    engine: MakeEngine,
 ) -> None:
     given = {"time_headway_s": "headway / 2", "jam_distance_m": 8}
     points = [{"headway": 2.0}, {"headway": 4.0}]
@@ -106,7 +108,7 @@ def test_in_a_scenario_parameters_are_the_middles_of_their_ranges_or_as_given(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_driver_in_a_scenario_brakes_by_its_parameters(engine: EngineName) -> None:
+def test_a_driver_in_a_scenario_brakes_by_its_parameters(engine: MakeEngine) -> None:
     """At 20 m/s, 44 m behind: IDM with a = 2.5 (1 - 1 - (s* / 44)^2), s* = s0 + 20 T."""
     given = {"time_headway_s": "headway", "jam_distance_m": 8, "acceleration_mps2": 2.5}
     points = [{"headway": 1.0}, {"headway": 1.8}]

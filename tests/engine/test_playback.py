@@ -13,7 +13,8 @@ import polars as pl
 import pytest
 from trios import Row, driven, flowing_road, write_trio
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state_file import save_state
@@ -21,7 +22,9 @@ from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.recording.recording import Recording
-from charms_bench.testing.verify import Case, compare
+from charms_bench.testing.parity import compare
+from charms_bench.testing.reference_engine import ENGINES
+from charms_bench.testing.straight_parity import StraightCase
 from charms_bench.world import moments
 from charms_bench.world.moments import moments_of
 from charms_bench.world.scene import SceneSettings
@@ -42,7 +45,7 @@ def simulation_of(
     ego: str = "recorded",
     traffic: str = "recorded",
     scenes: int | None = None,
-    engine: EngineName = "batched",
+    engine: MakeEngine = BatchedEngine,
 ) -> Simulation:
     """All moments of a scene, or the first ones."""
     made = TrafficSpec(name=traffic).make()
@@ -166,8 +169,8 @@ def test_both_engines_agree_on_a_vehicle_that_is_recorded_rolling_back(tmp_path:
     driving = driven(Row(vehicle=2, x=120.0, vx=20.0), 21, rate=10)
     settings = scene_of(tmp_path, stationary + driving, profile="naturalistic")
     same = {"ego": AgentSpec(name="recorded"), "traffic": TrafficSpec(name="recorded")}
-    found = compare(Case(scene=settings, **same), range(1))
-    assert (found.differences, found.largest) == ((), 0.0)
+    found = compare(StraightCase(scene=settings, **same), range(1))
+    assert (found.differences, found.largest) == ([], 0.0)
     assert -0.001 in simulation_of(settings, scenes=1).scene.speed
 
 

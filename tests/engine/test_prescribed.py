@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from charms_baselines.idm_mobil import IdmMobil
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import check_settings
 from charms_bench.engine.state_file import save_state
 from charms_bench.errors import InputError
 from charms_bench.plugins.specs import TrafficSpec
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import SceneSettings
 
@@ -28,7 +30,7 @@ def settings_of(vehicles: list[dict[str, Any]], **parameters: Any) -> SceneSetti
 
 
 def states(
-    vehicles: list[dict[str, Any]], engine: EngineName = "batched", **parameters: Any
+    vehicles: list[dict[str, Any]], engine: MakeEngine = BatchedEngine, **parameters: Any
 ) -> dict[str, np.ndarray]:
     """The states [T + 1, N] of the first point's episode, without the ego."""
     settings = settings_of(vehicles, **parameters)
@@ -51,7 +53,7 @@ def leader(*actions: dict[str, Any], lane: int = 1) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_leader_brakes_at_6_mps2_after_3_s(engine: EngineName) -> None:
+def test_a_leader_brakes_at_6_mps2_after_3_s(engine: MakeEngine) -> None:
     found = states(leader({"at_s": 3, "acceleration_mps2": -6}), engine)
     speed, t = found["speed"][:, 0], np.arange(151) / 15
     np.testing.assert_allclose(speed, np.clip(24 - 6 * (t - 3), 0, 24), atol=1e-9)
@@ -70,7 +72,7 @@ def test_an_acceleration_ends_at_its_speed() -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_cut_in_follows_its_path(engine: EngineName) -> None:
+def test_a_cut_in_follows_its_path(engine: MakeEngine) -> None:
     actions = ({"at_s": 1, "lane": 1, "duration_s": 4}, {"at_s": 6, "lane": 0, "duration_s": 2})
     found = states(leader(*actions, lane=0), engine)
     t = np.arange(151) / 15
@@ -89,7 +91,7 @@ def test_a_prescribed_vehicle_that_crashes_becomes_a_wreck() -> None:
 @pytest.mark.parametrize("saved_in", ENGINES)
 @pytest.mark.parametrize("continued_in", ENGINES)
 def test_a_scenario_continues_from_a_state_as_if_never_interrupted(
-    saved_in: EngineName, continued_in: EngineName, tmp_path: Path
+    saved_in: MakeEngine, continued_in: MakeEngine, tmp_path: Path
 ) -> None:
     settings = settings_of(
         leader({"at_s": 2, "acceleration_mps2": -6}, {"at_s": 1, "lane": 2, "duration_s": 3}),

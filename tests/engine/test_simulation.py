@@ -5,13 +5,15 @@ import highway_env  # noqa: F401  # registers highway-v0
 import numpy as np
 import pytest
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture, OneAgent
+from charms_bench.testing.reference_engine import ENGINES, HighwayEnvEngine
 from charms_bench.world.actions import ACTIONS, IDLE, Actions
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, SceneSettings, Vehicles
 
@@ -28,7 +30,7 @@ class Always(Policy):
 
 
 def simulate(
-    ego: Agent, settings: SceneSettings, scenes: int = 8, engine: EngineName = "batched"
+    ego: Agent, settings: SceneSettings, scenes: int = 8, engine: MakeEngine = BatchedEngine
 ) -> Simulation:
     agents = {"ego": ego, "idm_mobil": make_agent("idm_mobil")}
     simulation = Simulation(settings, scenes, "ego", OneAgent("idm_mobil"), agents, engine)
@@ -96,7 +98,7 @@ class Counting(DriverModel):
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(("rate", "per_decision"), [("decision", 1), ("simulation", 5)])
 def test_an_ego_is_asked_as_often_as_the_profile_says(
-    rate: str, per_decision: int, engine: EngineName
+    rate: str, per_decision: int, engine: MakeEngine
 ) -> None:
     settings = SceneSettings.model_validate(
         {
@@ -121,13 +123,13 @@ def test_an_ego_is_asked_as_often_as_the_profile_says(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_held_command_stays_as_highway_env_has_limited_it(engine: EngineName) -> None:
+def test_a_held_command_stays_as_highway_env_has_limited_it(engine: MakeEngine) -> None:
     """At 40 m/s, 33 - 40 = -7 m/s2 is commanded; the ego keeps that while it slows down."""
     settings = SceneSettings(traffic_vehicles=0, ego_slots=1)
     simulation = Simulation(settings, 1, "ego", OneAgent("ego"), {"ego": Counting()}, engine)
     simulation.reset(np.zeros(1, dtype=np.uint64))
     simulation.scene.speed[0, 0] = 40.0
-    if engine == "highway-env":
+    if engine is HighwayEnvEngine:
         simulation.engine.roads[0].vehicles[0].speed = 40.0
     simulation.step()
     assert simulation.scene.acceleration[0, 0] == -7.0
@@ -135,7 +137,7 @@ def test_a_held_command_stays_as_highway_env_has_limited_it(engine: EngineName) 
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_held_ego_keeps_its_steering_angle_during_a_decision(engine: EngineName) -> None:
+def test_a_held_ego_keeps_its_steering_angle_during_a_decision(engine: MakeEngine) -> None:
     settings = SceneSettings(traffic_vehicles=0, ego_slots=1)
     simulation = Simulation(settings, 1, None, OneAgent("none"), {"none": Always()}, engine)
     simulation.reset(np.zeros(1, dtype=np.uint64))
@@ -259,7 +261,7 @@ class Rocket(DriverModel):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_driver_model_cannot_write_to_the_scene(engine: EngineName) -> None:
+def test_a_driver_model_cannot_write_to_the_scene(engine: MakeEngine) -> None:
     with pytest.raises(AgentError, match=r"agent 'ego', episode 0, step 0: raised .*read-only"):
         simulate(Teleporting(), SceneSettings(), engine=engine)
 

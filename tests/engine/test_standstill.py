@@ -5,10 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import TrafficSpec
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -16,7 +18,7 @@ STOP = {"at_s": 1, "acceleration_mps2": -4, "until_mps": 0}
 START = {"at_s": 25, "acceleration_mps2": 1.5, "until_mps": 25}
 
 
-def queue(engine: EngineName, profile: object = "naturalistic") -> tuple[Simulation, Floats]:
+def queue(engine: MakeEngine, profile: object = "naturalistic") -> tuple[Simulation, Floats]:
     """The speeds (T, N) of vehicles behind two leaders that stop side by side, and then start."""
     leaders: list[dict[str, Any]] = [
         {"name": f"leader {k}", "lane": k, "x_m": 250, "speed_mps": 20, "actions": [STOP, START]}
@@ -42,7 +44,7 @@ def queue(engine: EngineName, profile: object = "naturalistic") -> tuple[Simulat
 
 
 def test_vehicles_stop_behind_a_stationary_leader_and_start_after_it() -> None:
-    made, speeds = queue("batched")
+    made, speeds = queue(BatchedEngine)
     assert not made.scene.crashed.any()
     assert (speeds >= 0.0).all()
     assert (speeds.min(axis=0) == 0.0).all()
@@ -52,7 +54,7 @@ def test_vehicles_stop_behind_a_stationary_leader_and_start_after_it() -> None:
 
 
 def test_a_stationary_vehicle_has_no_acceleration() -> None:
-    made, speeds = queue("batched", {"name": "naturalistic", "road_length_m": 5000.0})
+    made, speeds = queue(BatchedEngine, {"name": "naturalistic", "road_length_m": 5000.0})
     stands = speeds[300] == 0.0
     assert stands.all()
     made.reset(np.zeros(1, dtype=np.uint64))
@@ -62,7 +64,7 @@ def test_a_stationary_vehicle_has_no_acceleration() -> None:
 
 
 def test_highway_envs_vehicles_roll_back_instead() -> None:
-    _, speeds = queue("batched", {"name": "naturalistic", "can_reverse": True})
+    _, speeds = queue(BatchedEngine, {"name": "naturalistic", "can_reverse": True})
     assert speeds.min() < 0.0
 
 

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from interrupted import Whims, moments
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.actions import IDLE, LANE_RIGHT
 from charms_bench.world.scene import SceneSettings
 
@@ -23,7 +25,7 @@ TOOL = Path(__file__).parents[2] / "tools" / "check_states.py"
 
 def simulation(
     scenes: int,
-    engine: EngineName = "batched",
+    engine: MakeEngine = BatchedEngine,
     ego: str | None = "whims",
     settings: SceneSettings = SMALL,
     traffic: dict[str, float] = MIXTURE,
@@ -41,14 +43,14 @@ def started(scenes: int = 3, **arguments: object) -> Simulation:
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_restored_scenes_continue_to_the_last_bit_as_if_never_interrupted(
-    engine: EngineName,
+    engine: MakeEngine,
 ) -> None:
     original = started(engine=engine)
     kept = [original.state(), *moments(original)]
     assert any(state.crashed.any() and state.active.all() for state in kept)
     later = simulation(3, engine)
     rows = np.array([2, 0, 1])
-    for start in range(0, len(kept) - 1, 5 if engine == "batched" else 17):
+    for start in range(0, len(kept) - 1, 5 if engine is BatchedEngine else 17):
         later.restore(kept[start].take(rows))
         for expected, found in zip(kept[start + 1 :], moments(later), strict=False):
             assert found == expected.take(rows), start
@@ -62,7 +64,7 @@ def test_states_of_either_engine_continue_in_the_other_to_the_last_bit() -> None
 
 
 @pytest.mark.parametrize("engines", [ENGINES, ENGINES[::-1]])
-def test_a_state_of_one_engine_continues_in_the_other(engines: tuple[EngineName, ...]) -> None:
+def test_a_state_of_one_engine_continues_in_the_other(engines: tuple[MakeEngine, ...]) -> None:
     saved, continued = started(engine=engines[0]), simulation(3, engines[1])
     for _ in range(4):
         saved.step()

@@ -10,12 +10,14 @@ from charms_baselines.varied_idm import VariedIdmMobil
 from pydantic import ValidationError
 from scipy import stats
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.draws import draws_of
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
 from charms_bench.foundation.generator import seeded
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import SceneSettings
 
@@ -40,7 +42,7 @@ MIXED = settings_of(CAR, TRUCK, density=2.0, duration_s=6.0)
 def started(
     settings: SceneSettings = MIXED,
     seeds: int = 2,
-    engine: EngineName = "batched",
+    engine: MakeEngine = BatchedEngine,
     ego: str = "idm_mobil",
     traffic: str = "varied",
 ) -> Simulation:

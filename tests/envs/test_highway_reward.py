@@ -10,6 +10,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.testing.reference_engine import HighwayEnvEngine
 from charms_bench.world.actions import FASTER, LANE_RIGHT
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
@@ -19,7 +20,7 @@ from charms_bench.world.scene import SceneSettings
 def test_it_is_what_highway_env_computes_of_the_same_vehicles(profile: str) -> None:
     settings = SceneSettings(profile=PROFILES[profile], density=2.0)
     traffic = {"idm_mobil": make_agent("idm_mobil")}
-    simulation = Simulation(settings, 6, None, OneAgent("idm_mobil"), traffic, "highway-env")
+    simulation = Simulation(settings, 6, None, OneAgent("idm_mobil"), traffic, HighwayEnvEngine)
     simulation.reset(np.arange(6, dtype=np.uint64))
     rng = np.random.default_rng(0)
     reward = HighwayReward()

@@ -18,6 +18,7 @@ from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
+from charms_bench.testing.reference_engine import HighwayEnvEngine
 from charms_bench.world.actions import ACTIONS, FASTER, IDLE, Actions
 from charms_bench.world.observations import named_observation, neighbours
 from charms_bench.world.profile import PROFILES
@@ -140,7 +141,7 @@ def test_learners_are_the_ego_and_the_others_in_the_order_of_spawning() -> None:
 @pytest.mark.parametrize("profile", PROFILES)
 def test_each_vehicle_gets_the_reward_that_highway_env_computes_for_it(profile: str) -> None:
     settings = SceneSettings(profile=PROFILES[profile], density=2.0, traffic_vehicles=9)
-    simulation = Simulation(settings, 4, None, OneAgent(""), {}, "highway-env")
+    simulation = Simulation(settings, 4, None, OneAgent(""), {}, HighwayEnvEngine)
     simulation.reset(np.arange(4, dtype=np.uint64))
     rng = np.random.default_rng(0)
     vehicles = np.nonzero(np.ones(simulation.scene.x.shape))

@@ -11,7 +11,8 @@ from naive_fault import at_fault
 from scenes import scene_of
 
 from charms_bench import ACTIONS, Mixture, Policy
-from charms_bench.engine import EngineName
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.collision_kinds import ANY_ANGLE, COLLISIONS, are_noted, note_collisions
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.traffic import OneAgent, Traffic
@@ -38,7 +39,7 @@ def _frame(made: Simulation) -> dict[str, np.ndarray]:
 
 
 def simulated(
-    settings: SceneSettings, scenes: int, traffic: Traffic, engine: EngineName = "batched"
+    settings: SceneSettings, scenes: int, traffic: Traffic, engine: MakeEngine = BatchedEngine
 ) -> tuple[Simulation, Recording, list[dict[str, np.ndarray]]]:
     agents = {"idm_mobil": IdmMobil(), "reckless": Reckless()}
     made = Simulation(settings, scenes, "idm_mobil", traffic, agents, engine)

@@ -6,17 +6,17 @@ from multiprocessing import get_context
 
 import pytest
 
-from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
-from charms_bench.testing.road_parity import Comparison, compare
+from charms_bench.testing.exact_maths import use_exact_maths, worker_environment
+from charms_bench.testing.parity import Comparison, compare
+from charms_bench.testing.road_parity import RoadCase
 
 
 @pytest.fixture(scope="session")
 def process() -> Iterator[ProcessPoolExecutor]:
-    """The process, as `road_parity.verify_road` starts one."""
-    maths = ("highway-env", True)
-    with ProcessPoolExecutor(1, get_context("spawn"), use_exact_maths, maths) as pool:
+    """The process, as `parity.verify` starts one."""
+    with ProcessPoolExecutor(1, get_context("spawn"), use_exact_maths) as pool:
         with pytest.MonkeyPatch.context() as patch:
-            for name, value in worker_environment("highway-env").items():
+            for name, value in worker_environment().items():
                 patch.setenv(name, value)
             pool.submit(int).result()
         yield pool
@@ -24,5 +24,7 @@ def process() -> Iterator[ProcessPoolExecutor]:
 
 @pytest.fixture(scope="session")
 def compared(process: ProcessPoolExecutor) -> Callable[..., Comparison]:
-    """`road_parity.compare` in the process."""
-    return lambda *args, **options: process.submit(compare, *args, **options).result()
+    """`parity.compare` in the process, of highway-env's road of a name with a configuration."""
+    return lambda name, seeds, **configuration: process.submit(
+        compare, RoadCase(name, configuration), seeds
+    ).result()

@@ -8,7 +8,7 @@ import pytest
 
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.scenes import IDM, NOTHING
-from charms_bench.testing.road_parity import Comparison
+from charms_bench.testing.parity import Comparison
 
 SLOWER, IDLE = 0, 1
 
@@ -19,7 +19,7 @@ def test_agents_may_have_discrete_accelerations_and_steering_angles(
 ) -> None:
     action = {"type": "DiscreteAction", "actions_per_axis": 3}
     config = {"action": {"type": "MultiAgentAction", "action_config": action}}
-    assert compared("intersection-multi-agent-v2", range(1), config=config).differing == []
+    assert compared("intersection-multi-agent-v2", range(1), **config).differences == []
 
 
 def started(count: int, **config: Any) -> Episodes:

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from charms_bench.testing.map_parity import verify_map
+from charms_bench.testing.map_parity import MapCase
+from charms_bench.testing.parity import verify
 
 MAPS = Path(__file__).parents[3] / "shared" / "data" / "maps"
 PLACES = Path(__file__).parents[2] / "suites" / "places"
@@ -27,13 +28,13 @@ highway-env takes up to 10 s for an episode."""
 
 
 def test_a_roundabout_of_polylines_and_arcs_is_that_of_highway_env() -> None:
-    found = verify_map(PLACES / "roundabout.json", 1, seconds=5, workers=1)
-    assert (found.decisions, found.differing, found.largest) == (5, [], 0.0)
+    (found,) = verify([MapCase(PLACES / "roundabout.json", seconds=5)], range(1), workers=1)
+    assert (found.steps, found.differences, found.largest) == (5, [], 0.0)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not MAPS.is_dir(), reason="needs ../shared/data/maps, road maps")
 @pytest.mark.parametrize(("name", "vehicles"), SOME.items())
 def test_100_episodes_on_a_map_are_those_of_highway_env(name: str, vehicles: int) -> None:
-    found = verify_map(MAPS / name, 100, vehicles)
-    assert (found.episodes, found.differing, found.largest) == (100, [], 0.0)
+    (found,) = verify([MapCase(MAPS / name, vehicles)], range(100))
+    assert (found.episodes, found.differences, found.largest) == (100, [], 0.0)

@@ -12,12 +12,8 @@ import pytest
 from drawn_configurations import CHOSEN, LINEAR, random_configuration
 
 from charms_bench.roads import TASKS
-from charms_bench.testing.road_parity import (
-    Comparison,
-    compare,
-    difference,
-    verify_road,
-)
+from charms_bench.testing.parity import Comparison, compare, differences, verify
+from charms_bench.testing.road_parity import RoadCase
 
 LINEAR_ROADS = (
     *("highway-fast-v0", "merge-v0", "merge-generic-v1", "two-way-v0", "exit-v0", "u-turn-v1"),
@@ -29,11 +25,16 @@ META, KINEMATICS = {"type": "DiscreteMetaAction"}, {"type": "Kinematics"}
 Compared = Callable[..., Comparison]
 
 
+def verified(name: str, episodes: int, **configuration: Any) -> Comparison:
+    """The comparison of so many episodes with highway-env."""
+    return verify([RoadCase(name, configuration)], range(episodes))[0]
+
+
 def test_episodes_are_those_of_highway_env_to_the_last_bit(compared: Compared) -> None:
     found = compared("merge-v0", range(2))
     assert found.episodes == 2
-    assert found.decisions > 2
-    assert found.differing == []
+    assert found.steps > 2
+    assert found.differences == []
     assert found.largest == 0.0
 
 
@@ -41,7 +42,7 @@ def test_episodes_are_those_of_highway_env_to_the_last_bit(compared: Compared) -
 @pytest.mark.parametrize("name", CHOSEN)
 def test_they_are_with_other_configurations_too(name: str, compared: Compared) -> None:
     for config in CHOSEN[name]:
-        assert compared(name, range(100, 102), config=config).differing == []
+        assert compared(name, range(100, 102), **config).differences == []
 
 
 def of_agents(action: Any, observation: Any = KINEMATICS) -> dict[str, Any]:
@@ -62,8 +63,8 @@ def of_agents(action: Any, observation: Any = KINEMATICS) -> dict[str, Any]:
 def test_they_are_with_controls_several_egos_and_shuffled_rows(
     name: str, config: dict[str, Any], compared: Compared
 ) -> None:
-    found = compared(name, range(1), config=config)
-    assert (found.differing, found.largest) == ([], 0.0)
+    found = compared(name, range(1), **config)
+    assert (found.differences, found.largest) == ([], 0.0)
 
 
 @pytest.mark.slow
@@ -83,7 +84,7 @@ def test_they_are_with_controls_several_egos_and_shuffled_rows(
 def test_30_episodes_are_with_other_actions_egos_and_orders(
     name: str, config: dict[str, Any]
 ) -> None:
-    assert verify_road(name, 30, config=config).differing == []
+    assert verified(name, 30, **config).differences == []
 
 
 @pytest.mark.slow
@@ -91,20 +92,20 @@ def test_30_episodes_are_with_other_actions_egos_and_orders(
 def test_a_racetrack_has_idm_vehicles_whatever_their_type(
     kind: dict[str, Any], compared: Compared
 ) -> None:
-    assert compared("racetrack-v0", range(1), config=kind).differing == []
+    assert compared("racetrack-v0", range(1), **kind).differences == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LINEAR_ROADS)
 @pytest.mark.parametrize("kind", LINEAR)
 def test_200_episodes_of_linear_vehicles_do(name: str, kind: dict[str, Any]) -> None:
-    assert verify_road(name, 200, config=kind).differing == []
+    assert verified(name, 200, **kind).differences == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TASKS)
 def test_200_episodes_are_those_of_highway_env_to_the_last_bit(name: str) -> None:
-    assert verify_road(name, 200).differing == []
+    assert verified(name, 200).differences == []
 
 
 @pytest.mark.slow
@@ -112,8 +113,8 @@ def test_200_episodes_are_those_of_highway_env_to_the_last_bit(name: str) -> Non
 def test_100_random_configurations_give_the_same_episodes(name: str) -> None:
     for seed in range(100):
         config = random_configuration(name, seed)
-        found = verify_road(name, 1, seed, workers=1, config=config)
-        assert found.differing == [], config
+        (found,) = verify([RoadCase(name, config)], range(seed, seed + 1), workers=1)
+        assert found.differences == [], config
 
 
 @pytest.mark.parametrize(
@@ -128,12 +129,12 @@ def test_100_random_configurations_give_the_same_episodes(name: str) -> None:
 def test_only_equal_numbers_without_a_value_do_not_differ(
     ours: float, theirs: float, apart: float
 ) -> None:
-    assert difference([1.0, ours], [1.0, theirs]) == apart
+    assert differences([1.0, ours], [1.0, theirs]).tolist() == [0.0, apart]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TASKS)
 def test_scenes_start_as_in_highway_env_with_its_own_mathematics(name: str) -> None:
-    found = compare(name, range(20), decisions=0, tolerance=1e-9)
-    assert found.differing == []
+    found = compare(RoadCase(name), range(20), steps=0, tolerance=1e-9)
+    assert found.differences == []
     assert found.largest_at_start <= 1e-9

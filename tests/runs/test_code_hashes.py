@@ -36,7 +36,6 @@ for name in ("stackelberg", "charms", "imitation"):
         software=shard.installed(agent, traffic, {}),
     )
     shard.simulate(task)
-import charms_bench.engine.highway_env
 print(*(name for name in sys.modules if name.partition(".")[0] == "charms_bench"))
 """
 
@@ -95,7 +94,6 @@ def test_the_modules_that_decide_rows_are_those_of_a_simulation() -> None:
     assert names >= {
         "charms_bench.engine.stepping",
         "charms_bench.engine.batched",
-        "charms_bench.engine.highway_env",
         "charms_bench.recording.recording",
         "charms_bench.plugins.onnx_policy",
         "charms_bench.runs.shard",

@@ -21,7 +21,8 @@ from charms_bench.runs.resumable_folder import KINDS
 from charms_bench.runs.runner import plan, run
 from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Suite
-from charms_bench.testing.verify import cases_of, verify
+from charms_bench.testing.parity import verify
+from charms_bench.testing.verify import cases_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 SMALL: dict[str, Any] = {
@@ -280,8 +281,8 @@ def test_a_plugin_drives_highway_envs_own_vehicles_in_the_same_way() -> None:
     both = suite(
         episodes=3, scene=scene, egos=egos, traffic_models=[{"traffic": "outside_traffic"}]
     )
-    for found in verify(cases_of(both), episodes=3, seed=0, workers=1):
-        assert (found.episodes, found.largest, found.differences) == (3, 0.0, ())
+    for found in verify(cases_of(both), range(3), workers=1):
+        assert (found.episodes, found.largest, found.differences) == (3, 0.0, [])
 
 
 def test_a_large_suite_makes_each_cell_agent_and_traffic_once(

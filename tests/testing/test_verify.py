@@ -1,16 +1,19 @@
 """Verification finds what differs, and names the first of it."""
 
+import re
+
 import numpy as np
 import pytest
 
 from charms_bench.engine import batched
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
-from charms_bench.testing import verify
-from charms_bench.testing.verify import Case, compare, default_cases
+from charms_bench.testing.parity import compare, verify
+from charms_bench.testing.straight_parity import StraightCase, random_controls
+from charms_bench.testing.verify import default_cases
 from charms_bench.world.placement import place
 from charms_bench.world.scene import Bools, Scene, SceneSettings
 
-CASE = Case(
+CASE = StraightCase(
     scene=SceneSettings(duration_s=3.0, traffic_vehicles=6),
     ego=AgentSpec(name="idm_mobil"),
     traffic=TrafficSpec(name="idm_mobil"),
@@ -18,8 +21,8 @@ CASE = Case(
 
 
 def test_equal_engines_have_no_difference() -> None:
-    comparison = compare(CASE, range(3, 5))
-    assert comparison.differences == ()
+    comparison = compare(CASE, range(3, 5), tolerance=1e-6)
+    assert comparison.differences == []
     assert (comparison.episodes, comparison.steps) == (2, 2 * 45)
     assert comparison.largest < 1e-9
 
@@ -33,25 +36,25 @@ def test_the_first_step_vehicle_and_quantity_that_differ_are_named(
         advance(scene, modelled, held)
         calls.append(1)
         if len(calls) == 7:
-            scene.y[1, 4] += 1e-5  # a gust in the seventh step
+            scene.y[0, 4] += 1e-5  # a gust in the seventh step
 
     monkeypatch.setattr(batched, "advance", gusty)
-    (difference,) = compare(CASE, range(3, 5)).differences
-    found = (difference.episode, difference.step, difference.vehicle, difference.quantity)
-    assert found == (4, 7, 4, "y")
-    assert difference.batched - difference.highway_env == pytest.approx(1e-5)
+    (difference,) = compare(CASE, range(3, 5), tolerance=1e-6).differences
+    assert difference.startswith("episode 3, simulation step 7: y[4]: ")
+    ours, stock = map(float, re.findall(r"float64\((.+?)\)", difference))
+    assert ours - stock == pytest.approx(1e-5)
 
 
 def test_the_engines_agree_to_the_last_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENBLAS_CORETYPE", "")  # what is set for the worker ends with this test
     crowded = default_cases()[0][5]  # a dot product rounded once shows in this one's episode 33
-    (comparison,) = verify.verify([crowded], episodes=1, seed=33, workers=1)
+    (comparison,) = verify([crowded], range(33, 34), workers=1)
     assert (comparison.steps, comparison.largest) == (305, 0.0)
 
 
 def test_comparisons_add_up_over_episodes() -> None:
-    both = compare(CASE, range(3, 5))
-    first, second = (compare(CASE, range(seed, seed + 1)) for seed in (3, 4))
+    both = compare(CASE, range(3, 5), tolerance=1e-6)
+    first, second = (compare(CASE, range(seed, seed + 1), tolerance=1e-6) for seed in (3, 4))
     total = first + second
     assert (total.episodes, total.steps, total.crashed) == (2, both.steps, both.crashed)
 
@@ -60,14 +63,13 @@ def test_random_accelerations_and_steering_angles_drive_the_egos() -> None:
     case = default_cases(continuous=True)[0][4]
     case = case.model_copy(update={"scene": case.scene.model_copy(update={"duration_s": 2.0})})
     assert case.title.startswith("continuous actions, highway-env")
-    for seed in (0, 4):  # of different types of numbers
-        comparison = compare(case, range(seed, seed + 2))
-        assert comparison.differences == ()
-        assert comparison.largest < 1e-9
+    comparison = compare(case, range(4), tolerance=1e-6)
+    assert comparison.differences == []
+    assert comparison.largest < 1e-9
 
 
 def test_random_controls_steer_little_in_some_episodes_and_much_in_others() -> None:
-    means = np.array([verify.random_controls(seed, 50).mean(axis=0) for seed in range(300)])
+    means = np.array([random_controls(seed, 50).mean(axis=0) for seed in range(300)])
     assert np.abs(means[:, 1]).min() < 0.001
     assert np.abs(means[:, 1]).max() > 0.5
     assert np.percentile(means[:, 0], [5, 95]) == pytest.approx([-0.8, 0.8], abs=0.2)
@@ -82,8 +84,8 @@ def test_500_episodes_are_compared_with_continuous_actions() -> None:
 @pytest.mark.parametrize("which", range(-5, 0))
 def test_the_engines_agree_with_vehicles_and_lanes_of_other_sizes(which: int) -> None:
     case = default_cases()[0][which]
-    (comparison,) = verify.verify([case], episodes=2, seed=0, workers=1)
-    assert (comparison.differences, comparison.largest) == ((), 0.0)
+    (comparison,) = verify([case], range(2), workers=1)
+    assert (comparison.differences, comparison.largest) == ([], 0.0)
 
 
 @pytest.mark.parametrize("which", [-2, -1])
@@ -111,5 +113,4 @@ def test_the_default_cases_cover_what_they_promise() -> None:
     assert {case.scene.lanes for case in cases} == {2, 3, 4, 5}
     sizes = [case.scene.vehicles for case in cases]
     assert (min(sizes), max(sizes)) == (6, 60)
-    assert verify.TOLERANCE == 1e-6
     assert np.ptp([case.scene.density for case in cases]) > 2

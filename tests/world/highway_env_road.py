@@ -1,6 +1,6 @@
 """Roads and highway-env's own answer the same questions; `test_road_rules` runs these tests.
 
-highway-env has to start with `worker_environment("highway-env")` to give the same bits.
+highway-env has to start with `worker_environment()` to give the same bits.
 """
 
 from typing import Any
@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stock_networks import road_of
 
-from charms_bench.engine.exact_maths import use_exact_maths
-from charms_bench.engine.highway_env import highway_env_network
 from charms_bench.foundation.compiled import compiled
+from charms_bench.testing.exact_maths import use_exact_maths
+from charms_bench.testing.reference_engine import highway_env_network
 from charms_bench.world import road as questions
 from charms_bench.world.road import Road, Straight
 
-use_exact_maths("highway-env")
+use_exact_maths()
 
 ENVIRONMENTS = (
     envs.MergeEnv,

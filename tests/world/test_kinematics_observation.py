@@ -12,8 +12,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scenes import all_vehicles, scene_of
 
-from charms_bench.engine.highway_env import HighwayEnvEngine
 from charms_bench.errors import InputError
+from charms_bench.testing.reference_engine import HighwayEnvEngine
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.kinematics_observation import FEATURES, Kinematics
 from charms_bench.world.observations import observation_of

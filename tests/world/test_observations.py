@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from scenes import all_vehicles, scene_of, scenes
 
-from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine import MakeEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.world.action_mask import action_masks
 from charms_bench.world.actions import FASTER, LANE_LEFT, SLOWER
 from charms_bench.world.observations import (
@@ -129,7 +130,7 @@ def test_the_two_observations_have_texts_that_tell_them_apart() -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_observed_commands_are_those_that_have_been_given(engine: EngineName) -> None:
+def test_observed_commands_are_those_that_have_been_given(engine: MakeEngine) -> None:
     steps = {"target_speed_steps_mps": (0.25, 0.5, 1.0, 2.0)}
     settings = SceneSettings(
         profile=PROFILES["charms"].model_copy(update=steps), traffic_vehicles=0, ego_slots=1

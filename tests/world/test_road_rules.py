@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charms_bench.engine.exact_maths import worker_environment
+from charms_bench.testing.exact_maths import worker_environment
 from charms_bench.world.road import closest_lane, next_lane, position, side_lanes
 from charms_bench.world.road_network import CircularLane, PolyLane, StraightLane, network_of
 
@@ -21,7 +21,7 @@ FORTH = StraightLane(start=(100, 0), end=(200, 0))
 
 def test_every_lane_of_highway_env_gives_the_same_bits() -> None:
     program = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(COMPARISONS)]
-    subprocess.run(program, env={**os.environ, **worker_environment("highway-env")}, check=True)
+    subprocess.run(program, env={**os.environ, **worker_environment()}, check=True)
 
 
 def test_lanes_between_the_same_nodes_are_neighbours_wherever_they_are_listed() -> None:

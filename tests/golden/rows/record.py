@@ -17,8 +17,8 @@ import numpy as np
 from rows import features, reference, training
 from rows.cells import PROJECT, SUITES, rows_of
 
-from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.foundation.workers import in_processes
+from charms_bench.testing.exact_maths import worker_environment
 
 DATA = Path(__file__).with_name("data")
 
@@ -41,7 +41,7 @@ def record_reference(folder: Path) -> None:
     path = DATA / "reference.npz"
     found = dict(np.load(path, allow_pickle=False)) if path.exists() else {}
     missing = {name: case for name, case in reference.cases(folder).items() if name not in found}
-    work, environment = reference.through_reference, worker_environment("highway-env")
+    work, environment = reference.through_reference, worker_environment()
     with closing(in_processes(work, missing.items(), 1, environment=environment)) as done:
         found |= {name: hashes for (name, _), hashes in done}
     np.savez_compressed(path, **found)

@@ -13,12 +13,15 @@ from rows.cells import with_stand_ins
 from rows.hashing import bytes_of
 from rows.policies import Braking, Canny, Noisy, Recurrent, Remembering, Steering
 
-from charms_bench.engine import EngineName
-from charms_bench.engine.exact_maths import use_exact_maths
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
-from charms_bench.testing.verify import Case, cases_of, default_cases, random_controls
+from charms_bench.testing.exact_maths import use_exact_maths
+from charms_bench.testing.reference_engine import HighwayEnvEngine
+from charms_bench.testing.straight_parity import StraightCase, random_controls
+from charms_bench.testing.verify import cases_of, default_cases
 
 OWN: dict[str, Callable[[], Agent]] = {
     "memory": Recurrent,
@@ -40,7 +43,7 @@ EPISODES, DECISIONS = 3, 24
 Hashes = NDArray[np.uint32]
 
 
-def cases(folder: Path) -> dict[str, Case]:
+def cases(folder: Path) -> dict[str, StraightCase]:
     """Returns the cases that need this project's agents, sources or scenes, by name.
 
     `folder` is empty and for a recording.
@@ -48,12 +51,16 @@ def cases(folder: Path) -> dict[str, Case]:
     every = default_cases()[0] + default_cases(continuous=True)[0]
     for suite, egos in EGOS.items():
         found_in = cases_of(with_stand_ins(suite, folder))
-        every += [case for case in found_in if case.ego and case.ego.name in egos]
+        every += [
+            case
+            for case in found_in
+            if isinstance(case, StraightCase) and case.ego and case.ego.name in egos
+        ]
     for number, name in enumerate(OWN):
         scene = {"traffic_vehicles": 12, "profile": PROFILES[number % len(PROFILES)]}
         traffic = {"mixture": {"idm_mobil": 0.5, name: 0.5}}
-        every.append(Case.model_validate({"scene": scene, "ego": name, "traffic": traffic}))
-    found: dict[str, Case] = {}
+        every.append(StraightCase.model_validate({"scene": scene, "ego": name, "traffic": traffic}))
+    found: dict[str, StraightCase] = {}
     for case in every:
         if not is_of_highway_env(case):
             name = f"{case.title}, {name_of(case)}"
@@ -62,12 +69,12 @@ def cases(folder: Path) -> dict[str, Case]:
     return found
 
 
-def name_of(case: Case) -> str:
+def name_of(case: StraightCase) -> str:
     """Returns a traffic model's name, or what takes its place."""
     return case.traffic.name or ("scenario" if case.traffic.scenario else "mixture")
 
 
-def is_of_highway_env(case: Case) -> bool:
+def is_of_highway_env(case: StraightCase) -> bool:
     """Whether a case has only highway-env's vehicles, in scenes as highway-env draws them."""
     is_plain = case.ego is None or case.ego.name == "idm_mobil"
     scene = case.scene
@@ -78,12 +85,13 @@ def is_of_highway_env(case: Case) -> bool:
     )
 
 
-def hashes(case: Case, engine: EngineName = "batched") -> Hashes:
+def hashes(case: StraightCase, engine: MakeEngine = BatchedEngine) -> Hashes:
     """Returns the hashes of a case, [episodes, decisions, quantities].
 
-    With the engine `highway-env`, the process has to be a worker; see `worker_environment`.
+    With the reference engine, the process has to be a worker; see `worker_environment`.
     """
-    use_exact_maths(engine)
+    if engine is HighwayEnvEngine:
+        use_exact_maths()
     traffic = case.traffic.make()
     networks = networks_of(case.ego, traffic, case.folder) if case.ego else {}
     drivers = (
@@ -99,9 +107,9 @@ def hashes(case: Case, engine: EngineName = "batched") -> Hashes:
     return np.stack([*decisions(simulation, is_outside=case.ego is None)], axis=1)
 
 
-def through_reference(named: tuple[str, Case]) -> Hashes:
+def through_reference(named: tuple[str, StraightCase]) -> Hashes:
     """Returns the hashes of a case in the reference, in a worker."""
-    return hashes(named[1], "highway-env")
+    return hashes(named[1], HighwayEnvEngine)
 
 
 def decisions(simulation: Simulation, is_outside: bool) -> Iterator[Hashes]:

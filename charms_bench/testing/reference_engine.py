@@ -18,13 +18,15 @@ from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from charms_bench.engine import MakeEngine
+from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.draws import ReplayedDraws
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.shown import Shown
 from charms_bench.engine.stepping import BeforeMove, Put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import from_numpy, seeded, to_numpy
-from charms_bench.plugins.agent import DriverModel
+from charms_bench.plugins.agent import DriverModel, Policy
 from charms_bench.world.actions import ACTIONS, Actions, MetaAction, follows_profile
 from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.profile import Profile
@@ -48,6 +50,7 @@ class HighwayEnvEngine(Shown):
         memory: int = 0,
         prescribed: Collection[int] = (),
         own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
+        policies: Mapping[int, Policy] = MappingProxyType({}),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.state = self.scene = Scene.empty(settings, scenes, parameters, memory)
@@ -528,3 +531,6 @@ _IDM_ATTRIBUTES = {
     "imposed_braking_mps2": "LANE_CHANGE_MAX_BRAKING_IMPOSED",
     "lane_change_period_s": "LANE_CHANGE_DELAY",
 }
+
+ENGINES: tuple[MakeEngine, ...] = (BatchedEngine, HighwayEnvEngine)
+"""The compiled engine of the straight road, and its reference."""

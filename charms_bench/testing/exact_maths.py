@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from functools import cache
 from importlib import import_module
 from types import ModuleType
@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.engine import EngineName
 from charms_bench.foundation import maths
 from charms_bench.foundation.threads import ONE_THREAD
 
@@ -19,16 +18,6 @@ _CORE_TYPE = "Nehalem"
 """A core type without fused multiply-add, which every processor with SSE4.2 supports."""
 _IS_X86 = platform.machine() in ("x86_64", "AMD64")
 _MODULES = (
-    "road.lane",
-    "road.road",
-    "utils",
-    "vehicle.behavior",
-    "vehicle.controller",
-    "vehicle.kinematics",
-    "vehicle.objects",
-)
-"""The modules of highway-env that move vehicles."""
-_ENVIRONMENTS = (
     "envs.common.observation",
     "envs.exit_env",
     "envs.highway_env",
@@ -40,67 +29,61 @@ _ENVIRONMENTS = (
     "envs.roundabout_env",
     "envs.two_way_env",
     "envs.u_turn_env",
+    "road.lane",
+    "road.road",
+    "utils",
+    "vehicle.behavior",
+    "vehicle.controller",
     "vehicle.dynamics",
+    "vehicle.kinematics",
+    "vehicle.objects",
 )
-"""The modules of highway-env that only its environments use."""
+"""The modules of highway-env that compute."""
+TOLERANCE = 0.0 if _IS_X86 else 1e-6
+"""The largest difference between equal engines; other processors may round dot products."""
 
 
-def worker_environment(engine: EngineName) -> dict[str, str]:
+def worker_environment() -> dict[str, str]:
     """Returns the environment variables with which a worker process has to be started.
 
     highway-env's vehicles use dot products of NumPy arrays, which cannot be replaced. OpenBLAS
-    rounds each product in them or not, depending on the processor. For that engine, it has to round
-    them. OpenBLAS reads this setting when it is loaded. On other processors than x86-64, there is
-    no such setting, and bits may differ.
+    rounds each product in them or not, depending on the processor. Here, it has to round them.
+    OpenBLAS reads this setting when it is loaded. On other processors than x86-64, there is no such
+    setting, and bits may differ.
     """
-    if engine == "batched" or not _IS_X86:
+    if not _IS_X86:
         return ONE_THREAD
     return {**ONE_THREAD, _OPENBLAS: _CORE_TYPE}
 
 
-def use_exact_maths(engine: EngineName, environments: bool = False) -> None:
-    """Makes highway-env's vehicles in this process use `charms_bench.foundation.maths`.
+def use_exact_maths() -> None:
+    """Makes highway-env in this process use `charms_bench.foundation.maths`.
 
-    Otherwise their bits would be those of NumPy and of the C library, which both choose their
-    functions by the processor. Nothing is changed for the engine `batched`. With `environments`,
-    the roads of highway-env's environments are drawn in the same way.
+    Otherwise its bits would be those of NumPy and of the C library, which both choose their
+    functions by the processor.
 
     Raises:
-        RuntimeError: The process was not started with `worker_environment(engine)`.
+        RuntimeError: The process was not started with `worker_environment()`.
     """
-    if engine == "batched":
-        return
     if _IS_X86 and os.environ.get(_OPENBLAS) != _CORE_TYPE:
-        raise RuntimeError("the engine highway-env needs a process with exact maths")
-    _replace_in_vehicles()
-    if environments:
-        _replace_in_environments()
+        raise RuntimeError("highway-env needs a process with exact maths")
+    _replace_functions()
 
 
 @cache
-def _replace_in_vehicles() -> None:
-    """Replaces what vehicles and lanes compute with, once."""
-    _replace(_MODULES)
+def _replace_functions() -> None:
+    """Replaces what vehicles, lanes and environments compute with, once."""
+    for name in _MODULES:
+        replaced = vars(import_module(f"highway_env.{name}"))
+        replaced["np"], replaced["sum"] = _numpy, _sum
     spline: Any = import_module("highway_env.road.spline")
     spline.CurvePose = _of_arrays(spline.CurvePose)
-
-
-@cache
-def _replace_in_environments() -> None:
-    """Replaces what environments compute with, once."""
-    _replace(_ENVIRONMENTS)
     track: Any = import_module("highway_env.envs.racetrack_env").RacetrackEnv
     track._rewards = _without_power(track._rewards)
     keeping: Any = import_module("highway_env.envs.lane_keeping_env").LaneKeepingEnv
     keeping._reward = _reward_for_keeping_a_lane
     linear: Any = import_module("highway_env.vehicle.behavior").LinearVehicle
     linear.steering_features = _of_a_product(linear.steering_features)
-
-
-def _replace(names: Collection[str]) -> None:
-    for name in names:
-        replaced = vars(import_module(f"highway_env.{name}"))
-        replaced["np"], replaced["sum"] = _numpy, _sum
 
 
 def _sum(numbers: Iterable[Any]) -> Any:
