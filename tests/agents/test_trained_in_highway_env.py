@@ -16,6 +16,8 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
 from charms_agents.training.sb3_export import export_zip
+from handmade_weights import recurrent_weights
+from made_checkpoints import zipped
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
@@ -114,6 +116,34 @@ def test_it_acts_in_a_suite_as_in_its_environment(
     policy = exported(env, algorithm, tmp_path)
     taken = compare(env, in_suite(road, policy), policy, range(3), 40)
     assert len(taken) > 1
+
+
+@pytest.mark.parametrize("road", ["merge-v0", "roundabout-v0"])
+def test_the_lstm_of_a_recurrent_ppo_remembers_the_episode_in_a_suite(
+    road: str, tmp_path: Path
+) -> None:
+    env: Any = gymnasium.make(f"charms_bench.envs:charms_bench/{road}")
+    torch.manual_seed(2)
+    network, state, taken = torch.nn.LSTM(25, 12), None, []
+    with torch.no_grad():  # torch's initial gates are all nearly half open
+        for parameter in network.parameters():
+            parameter.mul_(6.0)
+    checkpoint = zipped(tmp_path, recurrent_weights(network))
+    done = charms_bench("export", checkpoint, tmp_path / "out.onnx", "--environment", road)
+    assert done.returncode == 0, done.stderr
+    simulation = in_suite(road, OnnxPolicy(tmp_path / "out.onnx"))
+    for seed in range(3):
+        (seen, _), state, over = env.reset(seed=seed), None, False
+        simulation.reset(np.array([seed], dtype=np.uint64))
+        while not over and simulation.scene.active[0]:
+            with torch.no_grad():
+                out, state = network(torch.tensor(seen.reshape(1, 1, 25)), state)
+            taken.append(int(out[0, 0, :5].argmax()))
+            simulation.step()
+            assert simulation.action[0, 0] == taken[-1]
+            seen, _, terminated, truncated, _ = env.step(taken[-1])
+            over = terminated or truncated
+    assert len({*taken}) > 1
 
 
 @pytest.mark.slow
