@@ -17,8 +17,9 @@ from charms_bench.cli.terminal import (
     say,
     shown,
 )
-from charms_bench.errors import PLUGIN_ERRORS, InputError, raised, suggestion
+from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute, is_same_file
+from charms_bench.foundation.words import counted
 
 
 @app.command(rich_help_panel=arguments.AGENTS)
@@ -110,28 +111,29 @@ def check(
 
     The exit code is 1 if the plugin breaks a rule.
     """
+    from charms_bench.foundation.threads import ONE_THREAD
+    from charms_bench.foundation.workers import Pool
     from charms_bench.metrics.missing_lanes import MEANING
-    from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
-    from charms_bench.testing import agent_rules, traffic_rules
-    from charms_bench.testing.driving import remark_on
+    from charms_bench.testing.check import Found
+    from charms_bench.testing.check import check as in_worker
 
     charms_bench.warm_up()
-    is_traffic = name in plugins(TRAFFIC) and name not in plugins(AGENTS)
-    rules = traffic_rules(make_traffic(name)) if is_traffic else agent_rules(make_agent(name))
     results = []
-    for rule in rules:
-        try:
-            rule()
-            problem = ""
-        except PLUGIN_ERRORS as error:  # every mistake of a plugin is a result of the check
-            problem = str(error) if isinstance(error, AssertionError) else raised(error)
-        title = rule.__name__.replace("_", " ")
-        results.append({"rule": title, "pass": not problem, "problem": problem})
+
+    def heard(found: Found) -> None:
+        rule, problem = found
+        results.append({"rule": rule, "pass": not problem, "problem": problem})
         if not as_json:
             out().print("[red]fail[/]" if problem else "[green]pass[/]", end=" ")
-            say(f"{title}: {problem}" if problem else title)
+            say(f"{rule}: {problem}" if problem else rule)
+
+    def title(name: str) -> str:
+        return f"the check of '{name}', after {counted(len(results), 'rule')}"
+
+    with Pool(in_worker, 1, title, environment=ONE_THREAD, told=heard, tries=1) as pool:
+        pool.add([name])
+        ((_, remark),) = pool.results()
     code = FAIL if any(each["problem"] for each in results) else 0
-    remark = "" if is_traffic or code else remark_on(name)
     if as_json:
         end_with_json(results, code)
     if remark:

@@ -192,7 +192,7 @@ class Pool(Generic[Task, Result]):
                 return done.task, Died(None, f"{title} took longer than {self._limit_s:g} s")
             what = f"a worker process {death} at {title}"
             if done.tries == self._tries:
-                what += f", and so did {self._tries - 1} before it"
+                what += f", and so did {self._tries - 1} before it" * (self._tries > 1)
                 return done.task, Died(done.worker.process.exitcode, what)
             self._notice(f"{what}; another worker takes its place")
             self._waiting.appendleft((done.task, done.tries + 1))

@@ -15,6 +15,8 @@ PLUGIN = """\
 import atexit
 import os
 import sys
+import threading
+import time
 import numpy as np
 from charms_bench import FASTER, SLOWER, Policy
 
@@ -47,6 +49,29 @@ class Torn(Policy):
         is_tie = np.floor(place * 3000) % 12 == 0
         digit = np.floor(place * 3e6 + 0.5 * (len(observations) > 20)) % 2 == 0
         return np.where(is_tie & digit, SLOWER, FASTER)
+
+
+class Ending(Policy):
+    def decide(self, observations):
+        os._exit(0)
+
+
+class Crashing(Policy):
+    def decide(self, observations):
+        os.kill(os.getpid(), 11)
+
+
+class Raising(Policy):
+    class Own(BaseException):
+        pass
+
+    def decide(self, observations):
+        raise self.Own("out of petrol")
+
+
+class Lasting(Loud):
+    def __init__(self):
+        threading.Thread(target=time.sleep, args=(3600,)).start()
 """
 SUITE = """\
 suite: small
@@ -55,7 +80,7 @@ scene: {{duration_s: 15.0, traffic_vehicles: 10}}
 egos: [{{agent: {ego}}}]
 traffic_models: [{{traffic: idm_mobil}}]
 """
-NAMES = ("Loud", "Moving", "Torn")
+NAMES = ("Loud", "Moving", "Torn", "Ending", "Crashing", "Raising", "Lasting")
 COMMAND = "from charms_bench.cli import main; main()"
 
 
@@ -88,20 +113,39 @@ def test_only_json_is_on_standard_output(home: Path) -> None:
         answer = charms_bench(*words, "--json", cwd=home)
         assert answer.returncode == 0, answer.stderr
         json.loads(answer.stdout)
-        assert words[0] == "show" or "among the results" in answer.stderr, words
+        assert words[0] in ("show", "check") or "among the results" in answer.stderr, words
 
 
 def test_what_a_plugin_prints_past_python_is_not_on_standard_output(home: Path) -> None:
+    charms_bench("run", "loud.yaml", "--output", "run", "--workers", "1", cwd=home)
     done = subprocess.run(
-        [sys.executable, "-c", COMMAND, "check", "loud", "--json"],
+        [sys.executable, "-c", COMMAND, "replay", "run", "3", "--json"],
+        cwd=home,
         env={**os.environ, "PYTHONPATH": str(home), "PRINTS_LATE": "1"},
         capture_output=True,
         text=True,
         check=True,
     )
-    assert {each["pass"] for each in json.loads(done.stdout)} == {True}
+    json.loads(done.stdout)
     for printed in ("among the results", "past Python", "past the redirection", "late"):
         assert printed in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "message"),
+    [
+        ("ending", 2, "ended with exit code 0 at the check of 'ending', after 1 rule\n"),
+        ("crashing", 2, "was killed (SIGSEGV) at the check of 'crashing', after 1 rule\n"),
+        ("raising", 2, "Own: out of petrol"),
+        ("lasting", 0, ""),
+    ],
+)
+def test_a_check_outlives_its_plugin_and_the_plugins_threads(
+    home: Path, name: str, code: int, message: str
+) -> None:
+    answer = charms_bench("check", name, cwd=home)
+    assert answer.returncode == code
+    assert message in answer.stderr
 
 
 @pytest.mark.parametrize("ego", ["loud", "moving"], ids=["on import", "in a decision"])
