@@ -114,10 +114,13 @@ def check(
     from charms_bench.foundation.threads import ONE_THREAD
     from charms_bench.foundation.workers import Pool
     from charms_bench.metrics.missing_lanes import MEANING
+    from charms_bench.plugins.registry import is_network, make_agent
     from charms_bench.testing.check import Found
     from charms_bench.testing.check import check as in_worker
 
     charms_bench.warm_up()
+    if is_network(name):
+        make_agent(name)  # opens it under limits, which a worker does not set
     results = []
 
     def heard(found: Found) -> None:
