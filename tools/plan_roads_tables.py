@@ -189,7 +189,10 @@ def tables(networks: Path, runs: Path) -> None:
         keep("plan-roads-statements", statements(of_seeds))
     if found:
         columns = ("road", "traffic", "ego", OVER)
-        keep("plan-roads", summary(pl.concat(found.values()), COLUMNS, columns))
+        # `levels` and `styles` drive the first episodes of `own` and `people` again.
+        cells = pl.concat(found[test] for test in plan.TESTS if test in found)
+        cells = cells.unique(["road", "traffic", "ego", "seed"], keep="first", maintain_order=True)
+        keep("plan-roads", summary(cells, COLUMNS, columns))
     refill(ROOT / "docs" / "training-plan-roads.md")
 
 
