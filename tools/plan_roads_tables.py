@@ -16,11 +16,12 @@ import plan_roads as plan
 import polars as pl
 from result_pages import RESULTS, ROOT, keep, refill
 from scipy import stats
-from seeds import OVER, SEED, Columns, mean_of, summary
+from seeds import SEED, Columns, mean_of
 
 from charms_bench.errors import RunFolderError
 from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
 from charms_bench.report.markdown import markdown
+from charms_bench.report.number import Number
 from charms_bench.report.table import Table
 from charms_bench.runs.finished_run import open_finished
 from charms_bench.statistics.paired import holm
@@ -34,8 +35,8 @@ COLUMNS: Columns = {
     "at_fault": ("at fault or undecided", ".2%", max),
     "crashed": ("crashed", ".2%", max),
     "time_s": ("mean time, s", ".1f", max),
-    "wrecks": ("episodes with wrecks", ".1%", None),
 }
+ROUGH = pl.col("conflicts", "time_s", "wrecks", "imposed_mps2").round_sig_figs(3)
 STATEMENTS = [  # the styles of the first kind have less of it
     ("efficient styles reach the goal sooner than safe ones, s", "time_s", "^efficient", "^safe"),
     ("safe styles cause fewer conflicts per 1,000 km", "conflicts", "^safe", "^efficient"),
@@ -87,9 +88,35 @@ def kept(name: str, found: pl.DataFrame, key: str) -> pl.DataFrame:
     path = RESULTS / f"{name}.csv"
     before = pl.read_csv(path) if path.exists() else found.clear()
     others = before.join(found, on=[key, "seed"], how="anti", nulls_equal=True)
-    every = pl.concat([others, found], how="vertical_relaxed").sort(key, "seed")
+    every = pl.concat([others, found], how="vertical_relaxed")
+    every = every.sort([name for name, kind in every.schema.items() if kind != pl.Float64])
     every.write_csv(path)
     return every
+
+
+def outcomes(values: pl.DataFrame, key: tuple[str, ...], across: str) -> str:
+    """How often the goal is reached and how often the ego is at fault, a column per `across`."""
+    records = []
+    for labels, row in values.group_by(key, maintain_order=True):
+        record = dict(zip(key, labels, strict=True))
+        record["seeds"] = str(row["seed"].drop_nulls().n_unique())
+        for (label,), cell in row.group_by(across, maintain_order=True):
+            means = [mean_of(cell[name].to_numpy(), 0.0, 1.0) for name in ("reached", "at_fault")]
+            record[str(label)] = " / ".join(
+                percentage(mean, form) for mean, form in zip(means, (".1f", ".2f"), strict=True)
+            )
+        records.append(record)
+    columns = [*key, "seeds", *values[across].unique(maintain_order=True)]
+    every = [{name: record.get(name, "") for name in columns} for record in records]
+    return markdown(Table.plain(every, key, dict.fromkeys(columns[len(key) :], "")))
+
+
+def percentage(mean: Number, form: str) -> str:
+    """A mean in %, with its interval if there is one."""
+    assert mean.value is not None
+    if mean.low is None or mean.high is None:
+        return f"{100 * mean.value:{form}}"
+    return f"{100 * mean.value:{form}} [{100 * mean.low:{form}}, {100 * mean.high:{form}}]"
 
 
 def statements(values: pl.DataFrame) -> str:
@@ -174,7 +201,7 @@ def tables(networks: Path, runs: Path) -> None:
     """Writes the tables of the plan and the CSV files beside them."""
     kept("plan-roads-trainings", trained(networks), "network")
     driven = [values for test in plan.TESTS if len(values := values_of(runs, test))]
-    every = pl.concat(driven).with_columns(pl.selectors.float().round_sig_figs(4))
+    every = pl.concat(driven).with_columns(pl.selectors.float().round_sig_figs(4)).with_columns(ROUGH)
     found = dict(kept("plan-roads-values", every, "test").partition_by("test", as_dict=True))
     found = {test: values for (test,), values in found.items()}
     of_validation = [found.pop(test) for test in plan.VALIDATION if test in found]
@@ -188,11 +215,17 @@ def tables(networks: Path, runs: Path) -> None:
         of_seeds = found[plan.OF_STYLES].drop_nulls("seed")
         keep("plan-roads-statements", statements(of_seeds))
     if found:
-        columns = ("road", "traffic", "ego", OVER)
         # `levels` and `styles` drive the first episodes of `own` and `people` again.
         cells = pl.concat(found[test] for test in plan.TESTS if test in found)
-        cells = cells.unique(["road", "traffic", "ego", "seed"], keep="first", maintain_order=True)
-        keep("plan-roads", summary(cells, COLUMNS, columns))
+        keys = ("road", "traffic")
+        cells = cells.unique([*keys, "ego", "seed"], keep="first", maintain_order=True)
+        is_style = pl.col("ego").is_in([each.replace("_", " ") for each in plan.STYLES])
+        styles, others = cells.filter(is_style).sort("ego"), cells.remove(is_style)
+        place = pl.col("ego").replace_strict({plan.CHARMS: 0, plan.LEVEL_1: 1}, default=2)
+        others = others.sort(place, maintain_order=True)  # the first columns
+        keep("plan-roads", outcomes(others, keys, "ego"))
+        if len(styles):
+            keep("plan-roads-styles", outcomes(styles, ("ego",), "road"))
     refill(ROOT / "docs" / "training-plan-roads.md")
 
 

@@ -78,9 +78,7 @@ def test_a_driver_waits_for_the_critical_headway(
 def test_on_a_straight_road_the_driver_is_the_calibrated_one() -> None:
     rows = []
     for driver in (Human(), YieldingHuman()):
-        simulation = Simulation(
-            SceneSettings(), 5, "ego", OneAgent("ego"), {"ego": driver}, "batched"
-        )
+        simulation = Simulation(SceneSettings(), 5, "ego", OneAgent("ego"), {"ego": driver})
         simulation.reset(np.arange(5, dtype=np.uint64))
         for _ in range(9):
             simulation.step()

@@ -148,10 +148,10 @@ def test_the_roads_of_a_suite_are_compared_with_highway_env(made: Any) -> None:
     suite = made.path.parent / "roads.yaml"
     done = charms_bench("verify", "--suite", suite, "--episodes", 2, "--workers", 1, "--json")
     assert done.returncode == 0, done.stderr
-    found = {row["name"]: row for row in json.loads(done.stdout)}
+    found = {row["case"]: row for row in json.loads(done.stdout)}
     assert [*found] == ["merge-v0", "Bend"]
     for row in found.values():
-        assert (row["episodes"], row["differing"], row["largest"]) == (2, 0, 0.0)
+        assert (row["episodes"], row["differences"], row["largest"]) == (2, [], 0.0)
 
 
 def test_the_vehicle_from_the_ramp_is_measured_on_merges_only(made: Any) -> None:
