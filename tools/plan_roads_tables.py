@@ -201,7 +201,8 @@ def tables(networks: Path, runs: Path) -> None:
     """Writes the tables of the plan and the CSV files beside them."""
     kept("plan-roads-trainings", trained(networks), "network")
     driven = [values for test in plan.TESTS if len(values := values_of(runs, test))]
-    every = pl.concat(driven).with_columns(pl.selectors.float().round_sig_figs(4)).with_columns(ROUGH)
+    fine = pl.selectors.float().round_sig_figs(4)
+    every = pl.concat(driven).with_columns(fine).with_columns(ROUGH)
     found = dict(kept("plan-roads-values", every, "test").partition_by("test", as_dict=True))
     found = {test: values for (test,), values in found.items()}
     of_validation = [found.pop(test) for test in plan.VALIDATION if test in found]
