@@ -73,14 +73,24 @@ _CONTAINERS_LIMIT = 2**20
 def json_of(data: bytes, **options: Any) -> Any:
     """The value of a JSON text, which takes at most about ten times its size in memory.
 
-    Raises a `ValueError` if it is not JSON, is nested too deep, or has too many lists and objects.
+    Raises a `ValueError` if it is not JSON, is nested too deep, gives a name twice, or has too many
+    lists and objects.
     """
     if data.count(b"[") + data.count(b"{") > _CONTAINERS_LIMIT:
         raise ValueError(f"it has more than {_CONTAINERS_LIMIT:,} lists and objects")
     try:
-        return json.loads(data, **options)
+        return json.loads(data, object_pairs_hook=_given_once, **options)
     except RecursionError as error:
         raise ValueError("it is nested too deep") from error
+
+
+def _given_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise ValueError(f"'{name[:80]}' is given twice")
+        found[name] = value
+    return found
 
 
 _COMPRESSED = (b"\x1f\x8b", b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x28\xb5\x2f\xfd")

@@ -46,18 +46,9 @@ def check_fields(path: Path, manifest: dict[str, Any]) -> None:
 def read_manifest(path: Path) -> Any:
     """The content of a manifest; raises a `RunFolderError` if it is not JSON or too large."""
     try:
-        return json_of(read_file(path, MANIFEST_LIMIT_BYTES), object_pairs_hook=_given_once)
+        return json_of(read_file(path, MANIFEST_LIMIT_BYTES))
     except ValueError as error:
         raise RunFolderError(f"{path}: is not JSON: {error}") from error
-
-
-def _given_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in found:
-            raise ValueError(f"the field {name!a} is given twice")
-        found[name] = value
-    return found
 
 
 @contextmanager

@@ -41,6 +41,7 @@ from pydantic import ValidationError
 from charms_bench.errors import InputError, first_problem, suggestion
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.fields import FrozenModel
+from charms_bench.foundation.files import json_of
 from charms_bench.world.action_mask import action_masks
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
 from charms_bench.world.highway_env_observation import HighwayEnv
@@ -180,17 +181,9 @@ def observation_described(text: str) -> NamedObservation:
     if not text.startswith("{"):
         return named_observation(text.partition(":")[0])
     try:
-        return named_observation(json.loads(text, object_pairs_hook=_each_once))
-    except (ValueError, RecursionError) as error:
+        return named_observation(json_of(text.encode()))
+    except ValueError as error:
         raise InputError(f"observation: is not JSON: {error}") from error
-
-
-def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    names = [name for name, _ in pairs]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"'{name[:80]}' is given twice")
-    return dict(pairs)
 
 
 def commands_of(scene: Scene, vehicles: Vehicles) -> Floats:
