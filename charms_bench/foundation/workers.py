@@ -411,6 +411,11 @@ def _serve(connection: Connection, module: str) -> None:
             if os.getpid() != process:
                 os._exit(0)  # a copy of this process, made by a plugin
             connection.send((number, True, answer))
+            # What tasks leave in cycles, such as a simulation, can be large, and has few objects.
+            if gc.get_freeze_count():
+                gc.collect()
+            else:
+                gc.freeze()  # else each collection would look at all libraries
 
 
 def _answer(work: Callable[[Any], Any], task: object) -> object:

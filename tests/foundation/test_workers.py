@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
@@ -132,6 +133,22 @@ def test_a_bug_in_a_worker_shows_where_it_is() -> None:
 def test_closing_ends_workers_that_are_busy() -> None:
     with closing(in_processes(hangs, [1, 3, 3], 2)) as results:
         next(results)  # and not three hours later, when a task of 3 would be done
+
+
+class InACycle:
+    def __init__(self) -> None:
+        self.itself = self
+
+
+def left_of(number: int, made: list[weakref.ref[InACycle]] = []) -> int:  # noqa: B006
+    """How many of the cycles that earlier tasks made, all but the first, are still there."""
+    left = sum(cycle() is not None for cycle in made[1:])
+    made.append(weakref.ref(InACycle()))
+    return left
+
+
+def test_what_a_task_leaves_in_cycles_is_gone_before_the_next_one() -> None:
+    assert [left for _, left in in_processes(left_of, range(5), 1)] == [0] * 5
 
 
 def fork_in_c() -> int:
