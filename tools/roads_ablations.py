@@ -1,0 +1,150 @@
+"""What makes CHARMS for all roads work, by taking it away; see docs/training-plan-roads.md.
+
+    python tools/roads_ablations.py FOLDER
+
+Trains each variant of `suites/train-roads.yaml` with five seeds and 300,000 steps, drives them, and
+writes `docs/results/plan-roads-ablations*`. What is finished in FOLDER is not done again.
+"""
+
+import copy
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import plan_roads as plan
+import polars as pl
+import yaml
+from plan_roads_tables import ROUGH, percentage, values_of
+from result_pages import RESULTS, ROOT, keep, refill
+from seeds import SEED, mean_of
+
+import charms_bench
+from charms_bench.report.markdown import markdown
+from charms_bench.report.table import Table
+
+SEEDS = range(4050, 4055)
+STEPS_OF_LEVEL_1, STEPS = 60_000, 300_000
+"""The second are those of all stages together."""
+Document = dict[str, Any]
+COMPLETE, PRIOR = "CHARMS", "the prior alone, Level-0"
+QUANTITIES = {"reached": "goal reached", "at_fault": "at fault or undecided"}
+
+
+def among_level_0(suite: Document) -> None:
+    del suite["stages"]["level_1"]
+    suite["stages"]["roads"] |= {"traffic": "yielding_human", "steps": STEPS}
+
+
+def without_svo(suite: Document) -> None:
+    styles = suite["stages"]["roads"]["styles"]
+    for name in [name for name in styles if not name.endswith("_egoistic")]:
+        del styles[name]
+
+
+def without_prior(suite: Document) -> None:
+    for stage in suite["stages"].values():
+        del stage["prior"]
+    del suite["human"]
+
+
+def without_brake(suite: Document) -> None:
+    suite["actions"].pop()
+
+
+def one_style(suite: Document) -> None:
+    styles = suite["stages"]["roads"]["styles"]
+    for name in [*styles][1:]:
+        del styles[name]
+
+
+VARIANTS: dict[str, Callable[[Document], None]] = {
+    COMPLETE: lambda suite: None,
+    "among Level-0 drivers alone": among_level_0,
+    "without SVO": without_svo,
+    "one style": one_style,
+    "without the prior": without_prior,
+    "without BRAKE": without_brake,
+}
+
+
+def train(folder: Path) -> None:
+    """Trains each variant with each seed."""
+    text = (ROOT / "suites" / "train-roads.yaml").read_text(encoding="utf-8")
+    for seed in SEEDS:
+        for name, change in VARIANTS.items():
+            suite = copy.deepcopy(yaml.safe_load(text)) | {"seed": seed}
+            stages = suite["stages"]
+            stages["level_1"]["steps"] = STEPS_OF_LEVEL_1
+            stages["roads"]["steps"] = STEPS - STEPS_OF_LEVEL_1
+            change(suite)
+            file = folder / f"{name}.yaml"
+            file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
+            charms_bench.run(file, folder / f"{name}{SEED}{seed}", workers=1)
+
+
+def drive(folder: Path) -> pl.DataFrame:
+    """The values of 300 episodes per road of each network, in the roads' own traffic."""
+    egos: list[Document] = []
+    for seed in SEEDS:
+        for name in VARIANTS:
+            networks = folder.resolve() / f"{name}{SEED}{seed}" / "networks"
+            agent = {"onnx": str(networks / "roads.onnx"), "style": plan.STYLES[0]}
+            egos.append({"agent": agent, "label": f"{name}{SEED}{seed}"})
+            if name == COMPLETE:
+                people = {"onnx": str(networks / "people.onnx")}
+                egos.append({"agent": people, "label": f"{PRIOR}{SEED}{seed}"})
+    suite = {"suite": "ablations", "seed": 990_000_000, "episodes": 300, "egos": egos}
+    suite |= {"scene": {"duration_s": 45}, "roads": [*plan.THREE, plan.INTERSECTION]}
+    file = folder / "ablations.yaml"
+    file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
+    charms_bench.run(file, folder / "ablations")
+    return values_of(folder, "ablations").drop("test", "traffic")
+
+
+def trained(folder: Path) -> pl.DataFrame:
+    """The network of each variant and seed, with its hash and CPU minutes."""
+    records = []
+    for seed in SEEDS:
+        for name in VARIANTS:
+            files = sorted((folder / f"{name}{SEED}{seed}" / "networks").glob("*.json"))
+            found = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in files}
+            minutes = sum(each["cpu_s"] for each in found.values()) / 60
+            own = {"variant": name, "seed": seed, "onnx_sha256": found["roads"]["onnx_sha256"]}
+            records.append(own | {"CPU minutes": round(minutes, 2)})
+    return pl.DataFrame(records)
+
+
+def differences(values: pl.DataFrame) -> str:
+    """What each variant does, and its difference from CHARMS, paired by seed, in %."""
+    records = []
+    for (road, ego), row in values.group_by("road", "ego", maintain_order=True):
+        complete = values.filter(road=road, ego=COMPLETE).sort("seed")
+        record = {"road": road, "variant": ego}
+        for name, header in QUANTITIES.items():
+            own = row.sort("seed")[name].to_numpy()
+            record[header] = percentage(mean_of(own, 0.0, 1.0), ".1f")
+            if ego != COMPLETE:
+                change = mean_of(own - complete[name].to_numpy())
+                record[f"{header}, difference"] = percentage(change, "+.1f")
+        records.append(record)
+    columns = [name for header in QUANTITIES.values() for name in (header, f"{header}, difference")]
+    every = [{**dict.fromkeys(columns, ""), **record} for record in records]
+    return markdown(Table.plain(every, ("road", "variant"), dict.fromkeys(columns, "")))
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python tools/roads_ablations.py FOLDER")
+    where = Path(sys.argv[1])
+    where.mkdir(parents=True, exist_ok=True)
+    train(where)
+    rough = pl.selectors.float().round_sig_figs(4)
+    driven = drive(where).with_columns(rough).with_columns(ROUGH)
+    networks = trained(where).rename({"variant": "ego"})
+    driven.join(networks, on=["ego", "seed"], how="left").sort("road", "ego", "seed").write_csv(
+        RESULTS / "plan-roads-ablations.csv"
+    )
+    keep("plan-roads-ablations", differences(driven))
+    refill(ROOT / "docs" / "training-plan-roads.md")
