@@ -81,7 +81,7 @@ def train(folder: Path) -> None:
             change(suite)
             file = folder / f"{name}.yaml"
             file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
-            charms_bench.run(file, folder / f"{name}{SEED}{seed}", workers=1)
+            charms_bench.train(file, folder / f"{name}{SEED}{seed}", workers=1)
 
 
 def drive(folder: Path) -> pl.DataFrame:
