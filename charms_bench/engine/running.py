@@ -51,6 +51,7 @@ class RunningEpisodes:
         agents: Mapping[str, Agent],
         engine: MakeEngine = BatchedEngine,
         actions: ActionsLike = "meta",
+        memory: int = 0,
     ) -> None:
         self.settings = settings
         self.make_engine = engine
@@ -137,7 +138,7 @@ class RunningEpisodes:
         self.kept_widths = {k: kept_width(policy) for k, policy in self.policies.items()}
         """The widths of the memories of policies, by the index of the agent."""
         widths = (*self.kept_widths.values(), *(model.memory_width for model in models.values()))
-        memory = max(widths, default=0)
+        memory = max(memory, *widths, 0)
         self.prescribed = [k for k, name in enumerate(self.agents) if name == PRESCRIBED]
         of_agents = models, continuous, memory, self.prescribed, self.own_actions, self.policies
         self.engine = engine(settings, scenes, *of_agents)

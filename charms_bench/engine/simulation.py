@@ -46,6 +46,7 @@ class Simulation(RunningEpisodes):
         agents: All agents that `ego` and `traffic` name, by name.
         engine: what makes the engine; by default that of the straight road.
         actions: The actions given to `step`, as `Policy.actions`.
+        memory: How many numbers the scenes keep of each vehicle, at least.
 
     Raises:
         InputError: A policy's rate does not fit the simulation rate, or its observation or its kind
@@ -61,8 +62,9 @@ class Simulation(RunningEpisodes):
         agents: Mapping[str, Agent],
         engine: MakeEngine = BatchedEngine,
         actions: ActionsLike = "meta",
+        memory: int = 0,
     ) -> None:
-        super().__init__(settings, scenes, ego, traffic, agents, engine, actions)
+        super().__init__(settings, scenes, ego, traffic, agents, engine, actions, memory)
         self._futures = {
             k: Futures(self, policy) for k, policy in self.policies.items() if policy.rollouts_with
         }

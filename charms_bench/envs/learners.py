@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from math import prod
 from operator import index
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -22,6 +23,7 @@ from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError, ScenarioError
 from charms_bench.foundation.progress import ENGINE, ENGINE_OF_ROADS, note_compiling
 from charms_bench.plugins.agent import Agent
+from charms_bench.plugins.deciding import delay_of, kept_of, shown_of
 from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
 from charms_bench.world.action_mask import ActionMasks, action_masks
 from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, meta_actions_of
@@ -124,7 +126,9 @@ class Learners:
         like = self.actions.like
         engine = _engine_of(settings, agents, title)
         with self._placing():
-            self.simulation = Simulation(settings, scenes, None, driven, agents, engine, like)
+            self._kept = delay_of(observation) * prod(observation.shape)
+            given = driven, agents, engine, like, self._kept
+            self.simulation = Simulation(settings, scenes, None, *given)
         if len(self.numbers) > 1 and self.simulation.engine.renewal_steps:
             raise InputError(
                 f"{title}: learners: other vehicles come to this road later, which no "
@@ -234,7 +238,21 @@ class Learners:
 
     def observe(self, vehicles: Vehicles) -> Observations:
         """The observations (M, rows, columns) of M vehicles."""
-        return np.asarray(self._observation(*self.simulation.engine.seen_by(vehicles)))
+        seen = np.asarray(self._observation(*self.simulation.engine.seen_by(vehicles)))
+        if self._kept:
+            seen = shown_of(self._observation, seen, self._earlier(vehicles))[:, 0]
+        return seen
+
+    def _earlier(self, vehicles: Vehicles) -> Floats:
+        """The observations (M, W) of earlier decisions of M vehicles; see `shown_of`."""
+        return self.simulation.scene.memory[vehicles][:, : self._kept]
+
+    def _keep(self, vehicles: Vehicles) -> None:
+        """Keeps what M vehicles observe, for later decisions."""
+        seen = np.asarray(self._observation(*self.simulation.engine.seen_by(vehicles)))
+        kept = kept_of(seen, self._earlier(vehicles))
+        rows, places = vehicles
+        self.simulation.scene.memory[rows, places, : self._kept] = kept
 
     def masks(self, vehicles: Vehicles) -> ActionMasks:
         """The action masks (M, A) of M vehicles; see `world.action_mask`."""
@@ -262,6 +280,8 @@ class Learners:
         is_of_egos = hasattr(reward, "prepare")
         prepared = reward.prepare(simulation, actions) if is_of_egos else None
         drove, vehicles = self.alive, self.vehicles
+        if self._kept:
+            self._keep(vehicles)
         if self._are_egos:
             simulation.step(actions)
         else:

@@ -26,6 +26,7 @@ from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
 from charms_bench.foundation.words import counted
 from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.deciding import delay_of
 from charms_bench.plugins.registry import is_network
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
@@ -68,6 +69,11 @@ def check_policy(recorded: RecordedCell) -> Policy:
             f"{path}: {title} decides {policy.decision_hz:g} times per second and the "
             f"suite records {chosen.scene.decision_hz} decisions per second; expected equal rates, "
             f"as after a run of the suite with scene.decision_hz: {policy.decision_hz:g}"
+        )
+    if delay_of(observation_of(policy.observation)):
+        raise InputError(
+            f"{path}: {title} sees others with a delay, and a dataset has what is there; expected "
+            "an observation without delay_decisions, or --format highd"
         )
     return policy
 

@@ -9,7 +9,8 @@ from charms_bench.errors import BrokenWordError, InputError
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.world.actions import Actions, check_actions, meta_actions_of
 from charms_bench.world.highway_env_observation import STRAIGHT, HighwayEnv
-from charms_bench.world.observations import observation_of
+from charms_bench.world.interaction_observation import Interaction
+from charms_bench.world.observations import Observation, observation_of
 from charms_bench.world.scene import Floats, Ints, Observations
 
 Question = tuple[Any, ...]
@@ -31,10 +32,35 @@ class Asked(NamedTuple):
     """For a planner; see `engine.rollouts`."""
 
 
+def delay_of(like: Observation) -> int:
+    """How many decisions an observation of other vehicles is late."""
+    return like.delay_decisions if isinstance(like, Interaction) else 0
+
+
 def kept_width(policy: Policy) -> int:
     """How many numbers the harness keeps of each vehicle between two decisions."""
-    seen = prod(observation_of(policy.observation).shape) if policy.history_length > 1 else 0
-    return policy.memory_width + (policy.history_length - 1) * seen
+    like = observation_of(policy.observation)
+    earlier = policy.history_length - 1 + delay_of(like)
+    return policy.memory_width + (earlier * prod(like.shape) if earlier else 0)
+
+
+def shown_of(like: Observation, seen: Observations, earlier: Floats) -> Observations:
+    """The last observations (M, T - D, ...) as a policy is shown them, whose delay is D.
+
+    Args:
+        like: The observation.
+        seen: (M, ...) the present one.
+        earlier: (M, W) the last T - 1 before it, the oldest first.
+    """
+    shape = (len(seen), -1, *seen.shape[1:])
+    frames = np.concatenate([earlier.reshape(shape).astype(seen.dtype), seen[:, None]], axis=1)
+    return like.delayed(frames) if isinstance(like, Interaction) and delay_of(like) else frames
+
+
+def kept_of(seen: Observations, earlier: Floats) -> Floats:
+    """What will be `earlier` at the next decision; see `shown_of`."""
+    latest = seen.reshape(len(seen), -1).astype(np.float64)
+    return np.concatenate([earlier, latest], axis=1)[:, latest.shape[1] :]
 
 
 def decide(policy: Policy, asked: Asked) -> tuple[Actions, Floats]:
@@ -44,21 +70,20 @@ def decide(policy: Policy, asked: Asked) -> tuple[Actions, Floats]:
         BrokenWordError: The policy declares memory, and what it returns as memory is missing, not
             finite or of another shape.
     """
-    question = question_of(policy, asked)
+    question, earlier = question_of(policy, asked), asked.kept[:, policy.memory_width :]
+    if earlier.shape[1]:
+        earlier = kept_of(asked.observations, earlier)
     actions, memory = answer_of(policy, question, policy.decide(*question))
-    if policy.history_length == 1:
-        return actions, memory
-    earlier = question[0][:, 1:].reshape(len(memory), -1)
-    return actions, np.concatenate([memory, earlier.astype(np.float64)], axis=1)
+    return actions, np.concatenate([memory, earlier], axis=1) if earlier.shape[1] else memory
 
 
 def question_of(policy: Policy, asked: Asked) -> Question:
     """The arguments of `policy.decide`."""
     seen, memory = asked.observations, asked.kept[:, : policy.memory_width]
-    if policy.history_length > 1:
-        shape = (len(seen), policy.history_length - 1, *seen.shape[1:])
-        earlier = asked.kept[:, policy.memory_width :].reshape(shape)
-        seen = np.concatenate([earlier.astype(seen.dtype), seen[:, None]], axis=1)
+    earlier = asked.kept[:, policy.memory_width :]
+    if earlier.shape[1]:
+        frames = shown_of(observation_of(policy.observation), seen, earlier)
+        seen = frames if policy.history_length > 1 else frames[:, 0]
     seen = seen.view()
     seen.flags.writeable = False  # of the view: a plugin's own observation may write to its array
     if policy.rollouts_with:

@@ -73,6 +73,9 @@ class Interaction(FrozenModel):
     """Standard deviations of the errors with which distances to other vehicles, and of them to
     conflict points, and their speeds are seen. Both errors are sums of four uniform numbers, drawn
     from what the ego is and sees, so that an episode that is simulated again has them again."""
+    delay_decisions: Annotated[int, Field(ge=0, le=20)] = 0
+    """How many decisions earlier the rows of other vehicles, from 2 on, have been seen. Nothing is
+    older than the first decision of the ego."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -88,6 +91,20 @@ class Interaction(FrozenModel):
         if self.distance_noise_m or self.speed_noise_mps:
             self._blur(scene.x[vehicles], scene.y[vehicles], observations)
         return observations
+
+    def delayed(self, seen: Observations) -> Observations:
+        """What M egos are shown, (M, T - D, 8 + K, 8), with the delay D.
+
+        `seen` (M, T, 8 + K, 8) are their last T observations, the oldest first; those of decisions
+        before the first one are zeros.
+        """
+        seen, delay = seen.copy(), self.delay_decisions
+        for k in reversed(range(seen.shape[1] - 1)):
+            is_missing = ~seen[:, k].any(axis=(1, 2))
+            seen[is_missing, k] = seen[is_missing, k + 1]
+        shown = seen[:, delay:].copy()
+        shown[:, :, FIRST_NEIGHBOUR:] = seen[:, : shown.shape[1], FIRST_NEIGHBOUR:]
+        return shown
 
     def _blur(self, x: Floats, y: Floats, observations: Observations) -> None:
         """Adds the errors to the rows of other vehicles that M egos at x, y (M,) see."""

@@ -13,6 +13,7 @@ from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.runs.suite import Suite
+from charms_bench.world.interaction_observation import Interaction
 
 SUITE = """\
 suite: small
@@ -112,6 +113,15 @@ def test_an_ego_that_decides_at_another_rate_is_rejected(
 ) -> None:
     monkeypatch.setattr(type(make_agent("outside_policy")), "decision_hz", 5.0)
     with pytest.raises(InputError, match=r"equal rates, as .* the suite with scene.decision_hz: 5"):
+        minari_dataset.check_policy(RecordedCell(run._finished, 1, Path()))
+
+
+def test_an_ego_that_sees_others_late_is_rejected(
+    run: charms_bench.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late = Interaction(delay_decisions=1)
+    monkeypatch.setattr(type(make_agent("outside_policy")), "observation", late)
+    with pytest.raises(InputError, match="sees others with a delay"):
         minari_dataset.check_policy(RecordedCell(run._finished, 1, Path()))
 
 
