@@ -2,8 +2,9 @@
 
     python tools/roads_ablations.py FOLDER
 
-Trains each variant of `suites/train-roads.yaml` with five seeds and 300,000 steps, drives them, and
-writes `docs/results/plan-roads-ablations*`. What is finished in FOLDER is not done again.
+Trains each variant of `suites/train-roads.yaml`, and DQN and PPO of Stable-Baselines3, with five
+seeds and 300,000 steps, drives them, and writes `docs/results/plan-roads-ablations*`. What is
+finished in FOLDER is not done again.
 """
 
 import copy
@@ -18,6 +19,8 @@ import polars as pl
 import yaml
 from plan_roads_tables import ROUGH, percentage, values_of
 from result_pages import RESULTS, ROOT, keep, refill
+from roads_baselines import SETTINGS as BASELINES
+from roads_baselines import train_baseline
 from seeds import SEED, mean_of
 
 import charms_bench
@@ -28,7 +31,7 @@ SEEDS = range(4050, 4055)
 STEPS_OF_LEVEL_1, STEPS = 60_000, 300_000
 """The second are those of all stages together."""
 Document = dict[str, Any]
-COMPLETE, PRIOR = "CHARMS", "the prior alone, Level-0"
+COMPLETE, ONE_STYLE, PRIOR = "CHARMS", "one style", "the prior alone, Level-0"
 QUANTITIES = {"reached": "goal reached", "at_fault": "at fault or undecided"}
 
 
@@ -63,14 +66,19 @@ VARIANTS: dict[str, Callable[[Document], None]] = {
     COMPLETE: lambda suite: None,
     "among Level-0 drivers alone": among_level_0,
     "without SVO": without_svo,
-    "one style": one_style,
+    ONE_STYLE: one_style,
     "without the prior": without_prior,
     "without BRAKE": without_brake,
 }
 
 
+def networks_of(folder: Path, name: str, seed: int) -> Path:
+    """Where the networks of a variant are."""
+    return folder.resolve() / f"{name}{SEED}{seed}" / "networks"
+
+
 def train(folder: Path) -> None:
-    """Trains each variant with each seed."""
+    """Trains each variant and each other algorithm with each seed."""
     text = (ROOT / "suites" / "train-roads.yaml").read_text(encoding="utf-8")
     for seed in SEEDS:
         for name, change in VARIANTS.items():
@@ -82,19 +90,23 @@ def train(folder: Path) -> None:
             file = folder / f"{name}.yaml"
             file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
             charms_bench.train(file, folder / f"{name}{SEED}{seed}", workers=1)
+            if name == ONE_STYLE:
+                for algorithm in BASELINES:
+                    networks = [networks_of(folder, each, seed) for each in (name, algorithm)]
+                    train_baseline(file, algorithm, networks[0], networks[1] / "roads")
 
 
 def drive(folder: Path) -> pl.DataFrame:
     """The values of 300 episodes per road of each network, in the roads' own traffic."""
     egos: list[Document] = []
     for seed in SEEDS:
-        for name in VARIANTS:
-            networks = folder.resolve() / f"{name}{SEED}{seed}" / "networks"
-            agent = {"onnx": str(networks / "roads.onnx"), "style": plan.STYLES[0]}
+        people = {"onnx": str(networks_of(folder, COMPLETE, seed) / "people.onnx")}
+        egos.append({"agent": people, "label": f"{PRIOR}{SEED}{seed}"})
+        for name in (*VARIANTS, *BASELINES):
+            agent = {"onnx": str(networks_of(folder, name, seed) / "roads.onnx")}
+            if name in VARIANTS:
+                agent["style"] = plan.STYLES[0]
             egos.append({"agent": agent, "label": f"{name}{SEED}{seed}"})
-            if name == COMPLETE:
-                people = {"onnx": str(networks / "people.onnx")}
-                egos.append({"agent": people, "label": f"{PRIOR}{SEED}{seed}"})
     suite = {"suite": "ablations", "seed": 990_000_000, "episodes": 300, "egos": egos}
     suite |= {"scene": {"duration_s": 45}, "roads": [*plan.THREE, plan.INTERSECTION]}
     file = folder / "ablations.yaml"
@@ -107,8 +119,8 @@ def trained(folder: Path) -> pl.DataFrame:
     """The network of each variant and seed, with its hash and CPU minutes."""
     records = []
     for seed in SEEDS:
-        for name in VARIANTS:
-            files = sorted((folder / f"{name}{SEED}{seed}" / "networks").glob("*.json"))
+        for name in (*VARIANTS, *BASELINES):
+            files = sorted(networks_of(folder, name, seed).glob("*.json"))
             found = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in files}
             minutes = sum(each["cpu_s"] for each in found.values()) / 60
             own = {"variant": name, "seed": seed, "onnx_sha256": found["roads"]["onnx_sha256"]}

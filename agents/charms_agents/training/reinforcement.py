@@ -21,6 +21,20 @@ from charms_bench.plugins.agent import Agent
 from charms_bench.world.scene import Observations
 
 
+def environments_of(
+    suite: TrainingSuite, stage: Stage, drivers: Mapping[str, Agent]
+) -> list[HighwayVectorEnv[Any]]:
+    """The environments of a stage, one for each of its places, with `scenes` episodes in all."""
+    places, seed = suite.places_of(stage), suite.first_episode_seed
+    count = suite.hyperparameters.scenes // len(places)
+    apart = EPISODES_OF_A_SEED // len(places)
+    how = stage.reward_of(suite.weights), suite.observed, suite.actions
+    return [
+        HighwayVectorEnv(scene, count, traffic, drivers, how[0], seed + k * apart, *how[1:])
+        for k, (scene, traffic) in enumerate(places)
+    ]
+
+
 class Reinforcement:
     """Learns a stage's network by Double DQN among `drivers`; episodes have successive seeds."""
 
@@ -37,16 +51,7 @@ class Reinforcement:
         self.curve: list[Point] = []
         """The points so far, one every `curve_steps`."""
         self._ended: list[dict[str, Any]] = []
-        reward, h = stage.reward_of(suite.weights), suite.hyperparameters
-        places, seed = suite.places_of(stage), suite.first_episode_seed
-        count, apart = h.scenes // len(places), EPISODES_OF_A_SEED // len(places)
-        seen = suite.observed, suite.actions
-        self._episodes = Episodes(
-            [
-                HighwayVectorEnv(scene, count, traffic, drivers, reward, seed + k * apart, *seen)
-                for k, (scene, traffic) in enumerate(places)
-            ]
-        )
+        h, self._episodes = suite.hyperparameters, Episodes(environments_of(suite, stage, drivers))
         logits = None if prior is None else unfolded(read_network(prior))
         styles = np.array([*suite.styles_of(stage).values()], np.float32)
         given = np.tile(styles, (h.scenes // max(len(styles), 1), 1)) if styles.size else None
