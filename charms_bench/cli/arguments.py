@@ -1,12 +1,14 @@
 """The groups of commands, and the arguments and options that several commands have."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from charms_bench.cli.terminal import print_only_json
-from charms_bench.foundation.files import absolute
+from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute, check_ending
 
 EVALUATE = "Evaluate"
 FAILURES = "Find and explain failures"
@@ -64,19 +66,28 @@ Recordings = Annotated[
 ]
 
 
-def drawable(path: Path | None) -> Path | None:
-    """The absolute path of a figure; raises an `InputError` if no figure can have its name."""
-    if path is None:
-        return None
-    from charms_bench.report.figures.drawing import check_figure
+def ending_in(*endings: str, is_new: bool = False) -> Callable[[Path | None], Path | None]:
+    """Makes the path of an option absolute; an `InputError` if its name has another ending.
 
-    check_figure(path)
-    return absolute(path)
+    If it `is_new`, a file that exists is an error, too.
+    """
+
+    def checked(path: Path | None) -> Path | None:
+        if path is None:
+            return None
+        check_ending(path, *endings)
+        if is_new and path.exists():
+            raise InputError(f"{path}: exists already; expected the name of a new file")
+        return absolute(path)
+
+    return checked
 
 
+NEW_JSON, FIGURE = ending_in(".json", is_new=True), ending_in(".pdf", ".png", ".svg")
+GIF, HTML, XML = ending_in(".gif"), ending_in(".html", ".htm"), ending_in(".xml")
 FigurePath = Annotated[
     Path | None,
     typer.Option(
-        "--figure", callback=drawable, help="Draw a figure into this .png, .pdf or .svg file."
+        "--figure", callback=FIGURE, help="Draw a figure into this .png, .pdf or .svg file."
     ),
 ]

@@ -147,6 +147,7 @@ def calibrate(
     recordings: arguments.Recordings,
     to: Path | None = typer.Option(
         None,
+        callback=arguments.NEW_JSON,
         help="New file NAME.json for the population, from which the agent human draws drivers.",
     ),
     figure: arguments.FigurePath = None,
@@ -162,9 +163,6 @@ def calibrate(
     from charms_bench.report.figures.predictive import draw
 
     recordings = absolute(recordings)
-    if to is not None and (to.suffix != ".json" or to.exists()):
-        what = "exists already" if to.suffix == ".json" else "does not end in .json"
-        raise InputError(f"{to}: {what}; expected the name of a new file that ends in .json")
     with interruptible():
         found = calibrated(read_trips(recordings), note)
         choices = read_choices(recordings, found.fit.point, found.held_out_drivers)
@@ -203,7 +201,7 @@ def calibrate(
             f"[{low:z.2f}, {high:z.2f}]"
         )
     for path in filter(None, (to, figure)):
-        say(f"Written: {shown(absolute(path))}")
+        say(f"Written: {shown(path)}")
 
 
 @app.command(rich_help_panel=arguments.DATA)

@@ -141,7 +141,7 @@ def bench(
     ),
     scale: Path | None = typer.Option(
         None,
-        callback=arguments.drawable,
+        callback=arguments.FIGURE,
         help="Measure the compiled engine with 1 to all cores, 21 to 2,000 vehicles and 1 to "
         "100,000 scenes instead, and draw the speeds to this file (.pdf, .png or .svg).",
     ),

@@ -1,7 +1,6 @@
 """`rare`, `edge-cases`, `replay`, `what-if` and `search`: failures, and single episodes."""
 
 from dataclasses import asdict
-from io import BytesIO
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -20,7 +19,7 @@ from charms_bench.cli.terminal import (
     shown,
 )
 from charms_bench.errors import InputError
-from charms_bench.foundation.files import absolute, write_bytes
+from charms_bench.foundation.files import write_bytes
 from charms_bench.foundation.words import counted
 
 if TYPE_CHECKING:
@@ -172,26 +171,23 @@ def replay(
     output: Path | None = typer.Option(
         None,
         metavar="OUT.gif",
+        callback=arguments.GIF,
         help="File of the animation; the trajectories are written beside it.",
     ),
     commonroad: Path | None = typer.Option(
-        None, metavar="OUT.xml", help="Also write the episode as a CommonRoad scenario."
+        None,
+        metavar="OUT.xml",
+        callback=arguments.XML,
+        help="Also write the episode as a CommonRoad scenario.",
     ),
     suite_folder: arguments.SuiteFolder = Path(),
     as_json: arguments.Json = False,
 ) -> None:
     """Write an animation and the trajectories of an episode."""
-    from charms_bench.episodes.animation import check_animation
-    from charms_bench.episodes.commonroad import check_commonroad
     from charms_bench.episodes.dataset import name_of
     from charms_bench.runs.lock import folder_in
+    from charms_bench.runs.shard import in_parquet
 
-    if output is not None:
-        check_animation(output)
-        output = absolute(output)
-    if commonroad is not None:
-        check_commonroad(commonroad)
-        commonroad = absolute(commonroad)
     opened = charms_bench.open_run(run, suite_folder)
     replayed = opened.replay(episode, ego, traffic, road, ego_index)
     cell = replayed.cell
@@ -203,9 +199,8 @@ def replay(
     what = replayed.what_happened()
     if commonroad is not None:  # first, because it is not possible of every episode
         replayed.write_commonroad(commonroad)
-    table = BytesIO()  # polars cannot write to every name that a file can have
-    replayed.trajectories().write_parquet(table)
-    write_bytes(trajectories, table.getvalue())
+    # polars cannot write to every name that a file can have.
+    write_bytes(trajectories, in_parquet(replayed.trajectories()))
     replayed.animate(animation)
     files = {"animation": str(animation), "trajectories": str(trajectories)}
     if commonroad is not None:
@@ -247,7 +242,10 @@ def what_if(
     traffic: arguments.TrafficLabel = None,
     ego_index: EgoIndex = 0,
     output: Path | None = typer.Option(
-        None, metavar="OUT.html", help="File of the page with the replay."
+        None,
+        metavar="OUT.html",
+        callback=arguments.HTML,
+        help="File of the page with the replay.",
     ),
     suite_folder: arguments.SuiteFolder = Path(),
     as_json: arguments.Json = False,
@@ -255,14 +253,10 @@ def what_if(
     """Let another agent drive from a decision of an episode on."""
     from charms_bench.episodes.dataset import name_of
     from charms_bench.foundation.names import name_of_agent
-    from charms_bench.report.html.page import check_page
     from charms_bench.report.html.single import write_what_if
     from charms_bench.report.what_if_table import what_if_table
     from charms_bench.runs.lock import folder_in
 
-    if output is not None:
-        check_page(output)
-        output = absolute(output)
     opened = charms_bench.open_run(run, suite_folder)
     found = opened.what_if(episode, at, other, vehicle, ego, traffic, road, ego_index)
     seat = "ego" if found.vehicle == found.recorded.ego else str(found.vehicle)

@@ -27,7 +27,10 @@ def road(
         ),
     ],
     to: Annotated[
-        Path | None, typer.Option(help="New file NAME.json for the roads, a road file.")
+        Path | None,
+        typer.Option(
+            callback=arguments.NEW_JSON, help="New file NAME.json for the roads, a road file."
+        ),
     ] = None,
     figure: arguments.FigurePath = None,
     around: Annotated[
@@ -45,12 +48,9 @@ def road(
     """Describe a road map, and write it as a road file."""
     if (around is None) != (radius is None):
         raise InputError("--around and --radius belong together; expected both or neither")
-    if to is not None and (to.suffix != ".json" or to.exists()):
-        what = "exists already" if to.suffix == ".json" else "does not end in .json"
-        raise InputError(f"{to}: {what}; expected the name of a new file that ends in .json")
     found = charms_bench.read_road(absolute(file), around=around, radius=radius)
     if to is not None:
-        charms_bench.write_road(found, absolute(to))
+        charms_bench.write_road(found, to)
     if figure is not None:
         from charms_bench.report.figures.drawing import save
         from charms_bench.report.figures.road_map import draw
@@ -79,7 +79,7 @@ def road(
         more = f", and {len(named) - MOST_ROADS:,} more" if len(named) > MOST_ROADS else ""
         say(f"Roads outside of junctions, by their nodes, for scenarios: {listed}{more}")
     for path in filter(None, (to, figure)):
-        say(f"Written: {shown(absolute(path))}")
+        say(f"Written: {shown(path)}")
 
 
 @app.command(rich_help_panel=arguments.ROADS)
