@@ -101,7 +101,7 @@ def beginning(table: Table, width: int = 100) -> str:
     shown = _first_rows(table.without_constant_keys())
     if len({column.group for column in table.columns}) > 1:
         shown = shown.named(*(f"{each.name} {each.group}".strip() for each in table.columns))
-    shown = _first_columns(shown, width)
+    shown = shown.take(range(len(fitting(shown, width))))
     first = dict(zip(table.keys, table.rows[0].labels, strict=True)) if table.rows else {}
     same = ", ".join(f"{key} {label}" for key, label in first.items() if key not in shown.keys)
     title = f"{table.title} ({same})" if same else table.title
@@ -127,15 +127,6 @@ def _first_rows(table: Table) -> Table:
     lines = 1 + any(each.low is not None for each in numbers)
     lines += any(each.reference is not None for each in numbers)
     return replace(table, rows=table.rows[: LINES // lines])
-
-
-def _first_columns(table: Table, width: int) -> Table:
-    """The table with as many of its columns as stand side by side."""
-    console, count = Console(width=10 * width), len(table.columns)
-    for shown in (table.take(range(end)) for end in range(count, 1, -1)):
-        if console.measure(_grid(shown, stacked=True)).maximum <= width:
-            return shown
-    return table.take(range(min(count, 1)))
 
 
 def _grid(
