@@ -4,7 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import typer
+from typer import Argument, Option
 
 import charms_bench
 from charms_bench.cli import arguments
@@ -145,7 +145,7 @@ def _print_learnable(name: str, found: Any) -> None:
 @app.command(rich_help_panel=arguments.DATA)
 def calibrate(
     recordings: arguments.Recordings,
-    to: Path | None = typer.Option(
+    to: Path | None = Option(
         None,
         callback=arguments.NEW_JSON,
         help="New file NAME.json for the population, from which the agent human draws drivers.",
@@ -206,26 +206,26 @@ def calibrate(
 
 @app.command(rich_help_panel=arguments.DATA)
 def likeness(
-    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
+    suite: Annotated[Path, Argument(metavar="SUITE", help="YAML file of the suite.")],
     recordings: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             metavar="RECORDINGS",
             help="Folder of recordings in highD's format, CSV table of NGSIM, the Parquet table of "
             "I-24 or I-75, or a folder of CommonRoad scenarios.",
         ),
     ],
-    population: str | None = typer.Option(
+    population: str | None = Option(
         None,
         help="Population that was fitted to these recordings: i24, i75, or a JSON file of "
         "`charms-bench calibrate`. Not for CommonRoad scenarios.",
     ),
-    half: Literal["both", "selection", "test"] = typer.Option(
+    half: Literal["both", "selection", "test"] = Option(
         "both",
         help="Compare with the first, third, ... of the held-out drivers (selection), or with "
         "the others (test), to select an agent by some drivers and report it on others.",
     ),
-    controls: bool = typer.Option(
+    controls: bool = Option(
         False,
         "--controls",
         help="Also score drivers with known faults, such as copied accelerations, to see what "
@@ -281,7 +281,7 @@ def likeness(
 @app.command(rich_help_panel=arguments.DATA)
 def dataset(
     run: arguments.RunPath,
-    kind: Literal["minari", "highd", "parquet"] = typer.Option(
+    kind: Literal["minari", "highd", "parquet"] = Option(
         ...,
         "--format",
         help="minari: observations, actions and rewards of the ego. highd: trajectories of all "
@@ -290,12 +290,10 @@ def dataset(
     ego: arguments.EgoLabel = None,
     road: arguments.RoadLabel = None,
     traffic: arguments.TrafficLabel = None,
-    episodes: int | None = typer.Option(
+    episodes: int | None = Option(
         None, min=1, help="Number of episodes, from the first; the default is all."
     ),
-    output: Path | None = typer.Option(
-        None, help="New folder; the default is one in the run folder."
-    ),
+    output: Path | None = Option(None, help="New folder; the default is one in the run folder."),
     suite_folder: arguments.SuiteFolder = Path(),
     as_json: arguments.Json = False,
 ) -> None:

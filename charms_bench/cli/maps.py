@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 import charms_bench
 from charms_bench.cli import arguments
@@ -21,27 +21,25 @@ MOST_GAPS = MOST_ROADS = 10
 def road(
     file: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             metavar="FILE",
             help="OpenDRIVE file, SUMO network, CommonRoad scenario, or road file of charms-bench.",
         ),
     ],
     to: Annotated[
         Path | None,
-        typer.Option(
-            callback=arguments.NEW_JSON, help="New file NAME.json for the roads, a road file."
-        ),
+        Option(callback=arguments.NEW_JSON, help="New file NAME.json for the roads, a road file."),
     ] = None,
     figure: arguments.FigurePath = None,
     around: Annotated[
         tuple[float, float] | None,
-        typer.Option(
+        Option(
             metavar="X Y",
             help="Keep only roads that come within --radius of this point of the map, m.",
         ),
     ] = None,
     radius: Annotated[
-        float | None, typer.Option(min=0.0, help="How far roads may be from --around, m.")
+        float | None, Option(min=0.0, help="How far roads may be from --around, m.")
     ] = None,
     as_json: arguments.Json = False,
 ) -> None:
@@ -84,12 +82,10 @@ def road(
 
 @app.command(rich_help_panel=arguments.ROADS)
 def drive(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Road file or map, as for `road`.")],
-    vehicles: Annotated[int, typer.Option(min=2, help="How many vehicles drive.")] = 100,
-    hours: Annotated[float, typer.Option(min=0.001, max=1000.0, help="For how long.")] = 1.0,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Decides where vehicles start and where they go.")
-    ] = 0,
+    file: Annotated[Path, Argument(metavar="FILE", help="Road file or map, as for `road`.")],
+    vehicles: Annotated[int, Option(min=2, help="How many vehicles drive.")] = 100,
+    hours: Annotated[float, Option(min=0.001, max=1000.0, help="For how long.")] = 1.0,
+    seed: Annotated[int, Option(min=0, help="Decides where vehicles start and where they go.")] = 0,
     as_json: arguments.Json = False,
 ) -> None:
     """Let traffic drive on a road for hours, and count what goes wrong."""

@@ -16,6 +16,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import typer
+from typer import Option
 from typer.core import TyperGroup
 
 from charms_bench.errors import InputError
@@ -138,19 +139,15 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    version: bool = typer.Option(
+    version: bool = Option(
         False,
         "--version",
         callback=_print_version,
         is_eager=True,
         help="Print the version and exit.",
     ),
-    quiet: bool = typer.Option(
-        False, ANYWHERE[0], help="Print results and errors, but no progress."
-    ),
-    verbose: bool = typer.Option(
-        False, ANYWHERE[1], help="Print where in the code an error was raised."
-    ),
+    quiet: bool = Option(False, ANYWHERE[0], help="Print results and errors, but no progress."),
+    verbose: bool = Option(False, ANYWHERE[1], help="Print where in the code an error was raised."),
 ) -> None:
     """Benchmark driving behaviour on highway-env's roads and on road maps."""
     QUIET.set(quiet)

@@ -185,10 +185,7 @@ class OnnxPolicy(Policy):
         return np.asarray(np.argmax(values, axis=1))
 
     def values_and_memory(
-        self,
-        observations: Observations,
-        memory: Floats | None = None,
-        noise: Floats | None = None,
+        self, observations: Observations, memory: Floats | None = None, noise: Floats | None = None
     ) -> tuple[NDArray[np.float32], Floats]:
         """The network's output, (M, A) or (M, 2), and the memory (M, memory) that it leaves.
 
