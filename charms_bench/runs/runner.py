@@ -78,8 +78,7 @@ def run(
         cluster: Simulates the shards elsewhere than on this machine; see `cluster.on_cluster`.
         on_cell: Called for every cell that is finished, with its index and its rows.
 
-    Raises:
-        CharmsBenchError: Something is wrong; the folder keeps the shards finished so far.
+    Raises a `CharmsBenchError` if something is wrong; the folder keeps the shards finished so far.
     """
     folder, failed = RunFolder(output), dict[int, CharmsBenchError]()
     with folder.opened_for(suite):
