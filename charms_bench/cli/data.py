@@ -13,6 +13,7 @@ from charms_bench.cli.terminal import (
     end_with_json,
     err,
     interruptible,
+    print_facts,
     print_records,
     print_table,
     say,
@@ -53,7 +54,7 @@ def data(
     if as_json:
         samplers = {name: asdict(each) for name, each in learnable.items()}
         end_with_json({**facts, "samplers": samplers})
-    _print_facts(_facts(facts))
+    print_facts(_facts(facts))
     if abs(facts["offset_mean_m"] or 0.0) > OFF_CENTRE_M:
         side = "right" if facts["offset_mean_m"] > 0 else "left"
         say(
@@ -91,14 +92,9 @@ def _print_trips(path: Path, as_json: bool) -> None:
         end_with_json(facts)
     forms = dict.fromkeys(("drivers", "trips"), ",")
     forms |= dict.fromkeys(("speed_mean_mps", "gap_mean_m"), "z.1f")
-    _print_facts(
+    print_facts(
         {name.replace("_", " "): f"{n:{forms.get(name, 'z.2f')}}" for name, n in facts.items()}
     )
-
-
-def _print_facts(facts: dict[str, str]) -> None:
-    records = [{"fact": fact, "found": value} for fact, value in facts.items()]
-    print_records("fact", records, {"found": ""})
 
 
 def _facts(found: dict[str, Any]) -> dict[str, str]:

@@ -157,11 +157,7 @@ def bench(
 
     if road is not None:
         _check_excluded(context, "--road", "vehicles", "traffic", "learners", "scale")
-        found = benchmark.bench_road(_known(road), seconds, rounds, tell, environments or 100)
-        slowest = found[-1].decisions_per_s
-        records = [
-            {**asdict(each), "times_highway_env": each.decisions_per_s / slowest} for each in found
-        ]
+        records = benchmark.bench_road(_known(road), seconds, rounds, tell, environments or 100)
         forms = dict.fromkeys(("decisions_per_s", "low", "high", "times_highway_env"), ",.1f")
         print_records("name", records, {"environments": ",.0f", **forms}, as_json)
         return

@@ -8,7 +8,7 @@ from typer import Argument, Option
 
 import charms_bench
 from charms_bench.cli import arguments
-from charms_bench.cli.terminal import app, end_with_json, print_records, say, shown
+from charms_bench.cli.terminal import app, end_with_json, print_facts, say, shown
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.words import counted
@@ -61,8 +61,7 @@ def road(
     facts = {**found.facts(), "named_roads": named, "recorded": facts_of(absolute(file))}
     if as_json:
         end_with_json(facts)
-    records = [{"fact": fact, "found": value} for fact, value in _in_words(facts).items()]
-    print_records("fact", records, {"found": ""})
+    print_facts(_in_words(facts))
     gaps = facts["gaps"]
     for gap in gaps[:MOST_GAPS]:
         one, other = gap["lanes"]
@@ -96,7 +95,7 @@ def drive(
     if as_json:
         end_with_json(facts)
     kinds = "; ".join(f"{count} {kind}" for kind, count in found.crashes.items())
-    records = {
+    facts = {
         "driven": f"{found.km:,.1f} km in {found.hours:g} h by {found.vehicles} vehicles",
         "collisions": f"{sum(found.crashes.values())} ({kinds or 'none'})",
         "collisions in 1,000 km": f"{found.crashes_per_1000_km:.1f}",
@@ -105,8 +104,7 @@ def drive(
         "left at an end of the road": counted(found.left, "vehicle"),
         "time at standstill": f"{100 * found.stationary:.1f} %",
     }
-    rows = [{"fact": fact, "found": value} for fact, value in records.items()]
-    print_records("fact", rows, {"found": ""})
+    print_facts(facts)
 
 
 def _in_words(facts: dict[str, Any]) -> dict[str, str]:

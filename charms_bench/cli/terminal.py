@@ -233,6 +233,12 @@ def print_records(
     print_table(Table.plain(records, (key,), forms))
 
 
+def print_facts(facts: Mapping[str, str]) -> None:
+    """Prints a table of facts and their values."""
+    records = [{"fact": fact, "found": value} for fact, value in facts.items()]
+    print_records("fact", records, {"found": ""})
+
+
 def end_with_json(value: Any, code: int = 0) -> NoReturn:
     """Prints a value as JSON on standard output, and ends the command with an exit code."""
     import json

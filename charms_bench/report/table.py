@@ -11,6 +11,7 @@ from typing import Any
 
 import polars as pl
 
+import charms_bench.report as views
 from charms_bench.errors import ALL_METRICS, InputError, suggestion
 from charms_bench.foundation.words import counted
 from charms_bench.metrics.labels import in_words, key_label_of, set_label_of
@@ -297,6 +298,4 @@ class Table:
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""
-        from charms_bench.report.html.table import notebook
-
-        return notebook(self)
+        return views.notebook_of(self)
