@@ -98,8 +98,7 @@ def rare(
     note_roads(loaded)
     try:
         with progress("pilots and runs", (runs + 1) * len(loaded.cells)) as tell:
-            given = loaded, folder, event, runs, samples, workers, tell, notice
-            cells, failed = run_rare(*given)
+            cells, failed = run_rare(loaded, folder, event, runs, samples, workers, tell, notice)
         from charms_bench.report.rare_table import rare_runs, rare_table
         from charms_bench.report.run_files import write_table
 
