@@ -11,6 +11,7 @@ import pytest
 from command_line import charms_bench
 
 from charms_bench.errors import RegistryError
+from charms_bench.foundation.workers import _end_spare
 from charms_bench.plugins.event import Event
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import (
@@ -127,6 +128,7 @@ def test_a_name_that_two_distributions_claim_cannot_be_used_and_the_others_can(
     lines = (f"[{AGENTS}]", "idm_mobil = thief:A", f"[{TRAFFIC}]", "stackelberg = thief:T")
     (known / "entry_points.txt").write_text("\n".join(lines))
     monkeypatch.syspath_prepend(tmp_path)
+    _end_spare()  # one that another test left would not find the folder
     claim = "is claimed by two distributions, .*thief.*; uninstall one of them"
     for each in (make_agent, make_traffic):
         with pytest.raises(RegistryError, match=f"'idm_mobil' {claim}"):
