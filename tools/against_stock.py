@@ -85,13 +85,8 @@ def simulate(chunk: Chunk, engine: MakeEngine, path: Path) -> None:
             events.append(np.stack([scene.lane, scene.target_lane, scene.crashed], axis=1))
             x.append(scene.x.copy())
         simulation.finish_step()
-    keep(
-        path,
-        events=np.stack(events, axis=1).astype(np.int8),
-        x=np.stack(x, axis=1),
-        ending=simulation.ending,
-        steps=simulation.steps,
-    )
+    ends = {"ending": simulation.ending, "steps": simulation.steps}
+    keep(path, events=np.stack(events, axis=1).astype(np.int8), x=np.stack(x, axis=1), **ends)
 
 
 def keep(path: Path, **arrays: Any) -> None:
@@ -172,18 +167,14 @@ def report(chunks: list[Chunk], folder: Path) -> None:
     )
     found = {name: compare(chunks, name, folder) for name in TITLES}
     for name, each in found.items():
-        print(f"  {TITLES[name]}: {summary(each)}")
+        text = counted(each.differs)
+        if each.differs.any():
+            steps = each.step[each.differs]
+            text += f", first in steps {steps.min()} to {steps.max()}, median {np.median(steps):g}"
+        if not each.differs.all():
+            text += f"; else x differs by at most {each.distance_m[~each.differs].max():.1e} m"
+        print(f"  {TITLES[name]}: {text}")
     print_difference(found["ours"].differs, found["dispatch"].differs)
-
-
-def summary(found: Compared) -> str:
-    text = counted(found.differs)
-    if found.differs.any():
-        steps = found.step[found.differs]
-        text += f", first in steps {steps.min()} to {steps.max()}, median {np.median(steps):g}"
-    if not found.differs.all():
-        text += f"; else x differs by at most {found.distance_m[~found.differs].max():.1e} m"
-    return text
 
 
 def main() -> None:

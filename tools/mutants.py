@@ -7,91 +7,36 @@ driver in every traffic model to `docs/results/mutants.csv`.
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import polars as pl
+from mutant_measures import (
+    Driven,
+    distance,
+    episodes_until_ordered,
+    found,
+    of_resamples,
+    per_1000_km,
+    resampled_means,
+    taus,
+)
 from result_pages import RESULTS, ROOT, keep, refill
 
 from charms_bench.episodes.avoidability import avoidability, collisions
 from charms_bench.episodes.criticality import COLLISION, criticality
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.report.markdown import markdown
-from charms_bench.report.number import Number
 from charms_bench.report.table import Table
 from charms_bench.runs.finished_run import FinishedRun, open_finished
-from charms_bench.world.scene import Bools, Floats, Ints
+from charms_bench.world.scene import Floats, Ints
 
 SINCE_S = 3.0
-ORDERED = 0.9
-"""A larger Kendall's tau counts as the right order."""
-OF_RESAMPLES = 0.95
-FOUND = 2.95
-"""Standard errors of a found difference: 5 %, two-sided, corrected for 16 drivers (Bonferroni)."""
 SEARCHED = 40
 """Collisions of each traffic model whose avoidability is searched."""
 LADDERS = ("Headway", "Delay", "Blind spot", "Imposed braking")
 """The drivers of a ladder have labels that begin so, from the smallest fault to the largest."""
 TOTAL = re.compile(r"^\| (.+?) \| traffic \|.*\| (\S+ \[.+?\]) \|$", re.MULTILINE)
-
-
-class Driven(NamedTuple):
-    """What the drivers did in a traffic model; the first has no fault."""
-
-    severity: Floats
-    """[E, D] by episode and driver."""
-    from_the_start: Floats
-    """[E, D] the same with the first 3 s."""
-    distance_km: Floats
-    """[E, D]."""
-    collided: Bools
-    """[E, D]."""
-
-
-def kendalls_tau(severity: Floats) -> Floats:
-    """Kendall's tau-a between the order of K severities [..., K] and their places."""
-    first, second = np.triu_indices(severity.shape[-1], 1)
-    return np.asarray(np.sign(severity[..., second] - severity[..., first]).mean(axis=-1))
-
-
-def taus(severity: Floats, ladders: Sequence[Sequence[int]]) -> Floats:
-    """[..., L + 1] of severities [..., D]: the tau of each ladder, and the mean of these."""
-    each = np.stack([kendalls_tau(severity[..., list(ladder)]) for ladder in ladders], axis=-1)
-    return np.concatenate([each, each.mean(axis=-1, keepdims=True)], axis=-1)
-
-
-def resampled_means(values: Floats, rng: np.random.Generator) -> Floats:
-    """[2000, ...] means of values [E, ...] over resampled episodes."""
-    size = len(values)
-    counts = rng.multinomial(size, np.full(size, 1 / size), size=2000)
-    return np.tensordot(counts, values, axes=1) / size
-
-
-def episodes_until_ordered(
-    severity: Floats,
-    ladders: Sequence[Sequence[int]],
-    rng: np.random.Generator,
-    resamples: int = 400,
-) -> Floats:
-    """[L + 1] of severities [E, D]: how many episodes put each ladder, and their mean, in order.
-
-    It is the smallest of 60 numbers of resampled episodes, from 10 (or E) to E, from which on
-    tau is at least 0.9 in 95 % of the resamples; infinite if there is none.
-    """
-    sizes = np.unique(np.geomspace(min(10, len(severity)), len(severity), 60).round().astype(int))
-    drawn = severity[rng.integers(len(severity), size=(resamples, len(severity)))]
-    means = np.cumsum(drawn, axis=1)[:, sizes - 1] / sizes[:, None]
-    # Rounding may leave a mean of four taus just below 0.9.
-    ordered = (taus(means, ladders) >= ORDERED - 1e-9).mean(axis=0) >= OF_RESAMPLES
-    from_here = np.logical_and.accumulate(ordered[::-1])[::-1]
-    return np.where(from_here.any(axis=0), sizes[from_here.argmax(axis=0)], np.inf)
-
-
-def found(severity: Floats) -> Bools:
-    """[D - 1] of severities [E, D]: which drivers are worse than the first one, beyond chance."""
-    difference = severity[:, 1:] - severity[:, :1]
-    error = difference.std(axis=0, ddof=1) / np.sqrt(len(difference))
-    return np.asarray(difference.mean(axis=0) / np.maximum(error, 1e-12) > FOUND)
 
 
 def of_traffic(run: FinishedRun, cells: Sequence[int]) -> Driven:
@@ -142,36 +87,6 @@ def avoidable(run: FinishedRun, cells: Sequence[int]) -> Floats:
         for each in avoidability(cell, seeds, agents=()):
             counts[each.episode - first] += 1, each.verdict == "avoidable"
     return counts
-
-
-def per_1000_km(driven: Driven, searched: Floats, rng: np.random.Generator) -> Number:
-    """Avoidable collisions per 1,000 km: the rate of collisions times the avoidable proportion."""
-    columns = driven.collided.sum(axis=1), driven.distance_km.sum(axis=1) / 1000
-    sums = np.column_stack([*columns, searched])
-    if not sums[:, 0].any():
-        return Number(0.0, None, None, len(sums))
-
-    def rate(means: Floats) -> Floats:
-        share = means[..., 3] / np.maximum(means[..., 2], 1e-12)
-        return np.asarray(share * means[..., 0] / means[..., 1])
-
-    low, high = np.quantile(rate(resampled_means(sums, rng)), [0.025, 0.975])
-    return Number(float(rate(sums.mean(axis=0))), low, high, len(sums))
-
-
-def of_resamples(value: float, resampled: Floats) -> Number:
-    """A value with the percentiles of its resamples."""
-    return Number(value, *np.quantile(resampled, [0.025, 0.975]).tolist())
-
-
-def distance(episodes: float, resampled: Floats, km: float, most: int) -> str:
-    """Episodes with the interval of their number, in km; `most` episodes are not exceeded."""
-
-    def text(number: float) -> str:
-        return f"{number * km:,.0f}" if number <= most else f"above {most * km:,.0f}"
-
-    low, high = np.quantile(resampled, [0.025, 0.975], method="nearest")
-    return f"{text(episodes)} [{text(low)}, {text(high)}]"
 
 
 def summary(

@@ -3,7 +3,7 @@
     python tools/plan_roads.py NETWORKS RUNS [TEST ...]
 
 NETWORKS/SEED is the run folder of the training with that seed, and RUNS gets that of each test.
-What is finished is not driven again. `plan_roads_tables.py` writes what they do.
+What is finished is not driven again. `write_results.py plan-roads` writes what they do.
 """
 
 import json
@@ -13,11 +13,12 @@ from typing import Any
 
 import yaml
 from result_pages import ROOT
-from seeds import SEED
 
 import charms_bench
 
 CHARMS, LEVEL_1 = "CHARMS", "Level-1"
+SEED = ", seed "
+"""Stands between the label of a training configuration and its seed."""
 STYLES = [f"{priority}_{svo}" for priority in ("efficient", "safe")
           for svo in ("egoistic", "competitive", "prosocial", "altruistic")]  # fmt: skip
 """The first is CHARMS wherever not all of them drive."""

@@ -1,41 +1,37 @@
-"""Writes what the networks of docs/training-plan-roads.md do, `docs/results/plan-roads*`.
-
-    python tools/plan_roads_tables.py NETWORKS RUNS
+"""The tables of docs/training-plan-roads.md, for `write_results.py plan-roads NETWORKS RUNS`.
 
 NETWORKS and RUNS are those of `plan_roads.py`. Tests that are not in RUNS and seeds that are not in
 NETWORKS keep their rows.
 """
 
-import json
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import plan_roads as plan
 import polars as pl
-from result_pages import RESULTS, ROOT, keep, refill
+from plan_roads_values import kept, mean_of, trained, values_of
+from result_pages import ROOT, keep, refill
 from scipy import stats
-from seeds import SEED, Columns, mean_of
 
-from charms_bench.errors import RunFolderError
-from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
-from charms_bench.runs.finished_run import open_finished
 from charms_bench.statistics.paired import holm
+from charms_bench.world.scene import Floats
 
 LIMITS = {  # goal reached, at fault
     plan.MERGE: (0.98, 0.005), plan.EXIT: (0.95, 0.01), plan.ROUNDABOUT: (0.92, 0.02),
     "intersection-v1": (0.92, 0.02),
 }  # fmt: skip
-COLUMNS: Columns = {
+COLUMNS: dict[str, tuple[str, str, Callable[[Floats], float]]] = {
     "reached": ("goal reached", ".1%", min),
     "at_fault": ("at fault or undecided", ".2%", max),
     "crashed": ("crashed", ".2%", max),
     "time_s": ("mean time, s", ".1f", max),
 }
+"""Header and format of each metric, and which of the seeds' values is the worst."""
 ROUGH = pl.col("conflicts", "time_s", "wrecks", "imposed_mps2").round_sig_figs(3)
 STATEMENTS = [  # the styles of the first kind have less of it
     ("efficient styles reach the goal sooner than safe ones, s", "time_s", "^efficient", "^safe"),
@@ -43,55 +39,6 @@ STATEMENTS = [  # the styles of the first kind have less of it
     ("prosocial and altruistic styles impose less braking, m/s²", "imposed_mps2",
      "prosocial|altruistic", "competitive|egoistic"),
 ]  # fmt: skip
-
-
-def values_of(runs: Path, test: str) -> pl.DataFrame:
-    """The values of a test, one row per road, traffic and network; none if it is not driven.
-
-    Crashes of which the rule of fault says nothing count as at fault, and where the ego does not
-    reach the goal, its time is the duration.
-    """
-    try:
-        run = open_finished(runs / test)
-    except RunFolderError as error:
-        print(f"{test}: left out: {error}")
-        return pl.DataFrame()
-    records = []
-    for index in run.finished:
-        cell, limit_s = run.cell(index), run.suite.cells[index].scene.duration_s
-        ego, _, seed = cell.agent.partition(SEED)
-        time = pl.when(ENDING == "goal").then(pl.first("duration_s")).otherwise(limit_s)
-        found = {
-            "reached": ENDING == "goal",
-            "at_fault": ENDED_BADLY & AT_FAULT.fill_null(value=True),
-            "crashed": ENDED_BADLY,
-            "time_s": time,
-            "wrecks": pl.first("traffic_crashed") > 0,
-            "imposed_mps2": pl.first("entry_braking_mps2"),
-        }
-        values = cell.episodes.group_by("episode").agg(**found).select(pl.col(*found).mean())
-        drivers = pl.concat(part for (part,) in cell.drivers).filter("is_ego")
-        per_1000km = drivers["conflicts_by"].sum() / drivers["distance_m"].sum() * 1e6
-        known: dict[str, Any] = {
-            "test": test,
-            "road": cell.road,
-            "traffic": cell.traffic,
-            "ego": ego,
-        }
-        known |= {"seed": int(seed) if seed else None, "conflicts": per_1000km}
-        records.append(known | values.row(0, named=True))
-    return pl.DataFrame(records, infer_schema_length=None)
-
-
-def kept(name: str, found: pl.DataFrame, key: str) -> pl.DataFrame:
-    """Writes the rows of a CSV file, beside those that it has of other seeds or keys."""
-    path = RESULTS / f"{name}.csv"
-    before = pl.read_csv(path) if path.exists() else found.clear()
-    others = before.join(found, on=[key, "seed"], how="anti", nulls_equal=True)
-    every = pl.concat([others, found], how="vertical_relaxed")
-    every = every.sort([name for name, kind in every.schema.items() if kind != pl.Float64])
-    every.write_csv(path)
-    return every
 
 
 def outcomes(values: pl.DataFrame, key: tuple[str, ...], across: str) -> str:
@@ -160,7 +107,7 @@ def limits(values: pl.DataFrame) -> str:
                 "limit": f"{bound:{form}}",
                 "mean of the seeds": f"{mean.value:{form}}{ends}",
             }
-            record |= {"worst seed": f"{worst(each):{form}}" if worst else ""}
+            record |= {"worst seed": f"{worst(each):{form}}"}
             record |= {"mean holds": "yes" if sign * each.mean() >= sign * bound else "no"}
             records.append(record)
     keys = "road", "traffic", "quantity"
@@ -183,18 +130,6 @@ def selected(values: pl.DataFrame) -> pl.DataFrame:
         .agg(pl.sum("limits_met"), pl.mean("reached", "at_fault", "crashed", "time_s"))
         .sort("limits_met", "at_fault", "time_s", descending=[True, False, False])
     )
-
-
-def trained(networks: Path) -> pl.DataFrame:
-    """Each network of the plan, with its hash and CPU minutes."""
-    records = []
-    for seed in plan.seeds_of(networks):
-        for path in sorted((networks / str(seed) / "networks").glob("*.json")):
-            manifest = json.loads(path.read_text(encoding="utf-8"))
-            minutes = round(manifest["cpu_s"] / 60, 2)
-            found = {"network": path.stem, "seed": seed, "onnx_sha256": manifest["onnx_sha256"]}
-            records.append(found | {"CPU minutes": minutes})
-    return pl.DataFrame(records)
 
 
 def tables(networks: Path, runs: Path) -> None:
@@ -228,9 +163,3 @@ def tables(networks: Path, runs: Path) -> None:
         if len(styles):
             keep("plan-roads-styles", outcomes(styles, ("ego",), "road"))
     refill(ROOT / "docs" / "training-plan-roads.md")
-
-
-if __name__ == "__main__":
-    if len(sys.argv) != 3:
-        sys.exit("usage: python tools/plan_roads_tables.py NETWORKS RUNS")
-    tables(Path(sys.argv[1]), Path(sys.argv[2]))

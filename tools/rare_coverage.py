@@ -1,11 +1,9 @@
 """How often the intervals of `charms-bench rare` hold a probability that is known.
 
-    python tools/rare_coverage.py
-
-Each repetition is a pilot and 500 independent runs; the intervals of fewer runs are those of the
-first of them. The moves treat all directions alike and the events depend on at most two
-components, so two components stand for any number of them. It takes about half an hour on one core,
-and writes docs/results/rare-coverage.md.
+`write_results.py rare-coverage` writes it to docs/results/rare-coverage.md, which takes about half
+an hour on one core. Each repetition is a pilot and 500 independent runs; the intervals of fewer
+runs are those of the first of them. The moves treat all directions alike and the events depend on
+at most two components, so two components stand for any number of them.
 """
 
 import sys
@@ -16,10 +14,10 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "statistics"))
 
 from known_probabilities import PROBLEMS
+from result_pages import keep
 
 from charms_bench.statistics.subset_simulation import interval, pilot_run, subset_simulation
 
-RESULT = Path(__file__).parents[1] / "docs" / "results" / "rare-coverage.md"
 REPETITIONS = {100: 1000, 400: 400}
 """By the samples per level."""
 RUNS = (5, 10, 50, 100, 500)
@@ -29,7 +27,7 @@ EVENTS = (
 )
 
 
-def main() -> None:
+def write() -> None:
     """Writes one row per event, probability and number of samples."""
     counts = " | ".join(f"{count} runs" for count in RUNS)
     lines = [f"| event | probability | samples | mean / probability | {counts} |"]
@@ -38,7 +36,7 @@ def main() -> None:
         for samples in REPETITIONS:
             lines.append(line(name, probability, samples))
             print(lines[-1], flush=True)
-    RESULT.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    keep("rare-coverage", "\n".join(lines) + "\n")
 
 
 def line(name: str, probability: float, samples: int) -> str:
@@ -62,7 +60,3 @@ def line(name: str, probability: float, samples: int) -> str:
         *(f"{each / repetitions:.1%}".replace("%", " %") for each in held),
     )
     return f"| {' | '.join(cells)} |"
-
-
-if __name__ == "__main__":
-    main()

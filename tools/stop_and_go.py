@@ -1,9 +1,7 @@
 """Measures what the simulated traffic does as a flow: `python tools/stop_and_go.py`.
 
-- The density from which on stop-and-go waves grow, on a ring of one lane: open boundaries would
-  carry the waves away before they have grown. A ring is a row of vehicles whose first one follows
-  an image of the last one, one circumference ahead. The limit of linear theory stands beside it
-  (Wilson & Ward 2011; Treiber & Kesting 2013, section 15.4).
+- The density from which on stop-and-go waves grow, on a ring of one lane (`rings`): open boundaries
+  would carry the waves away before they have grown. The limit of linear theory stands beside it.
 - The fundamental diagram, the flow over the density, on an open road of 5 km with 4 lanes, without
   and with a bottleneck at 3.5 km.
 - The speed of the shock wave that the bottleneck sends upstream, and the speed that the flows and
@@ -19,129 +17,25 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
+from rings import LARGE_M, NO_LANE_CHANGES, critical_density, equilibrium, growth_rate, ring
 
-from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.simulation import Simulation
-from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.report.figures.drawing import EDGE, SERIES, panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.table import Table
-from charms_bench.world.idm_mobil import equilibrium_gap
-from charms_bench.world.profile import PROFILES, IdmMobilConstants
+from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import Floats, SceneSettings
 
-RING_VEHICLES = 100
-SMALL_M, LARGE_M = 1e-3, 5.0
-"""Displacements: one whose wave stays linear, and one whose wave becomes as large as it can."""
-NO_LANE_CHANGES = {"lane_change_gain_mps2": 1e6}
 SECTION_M = (2000.0, 3000.0)
 BOTTLENECK_M = (3000.0, 3500.0)
 """Where desired speeds begin to fall, and where they have fallen."""
 CELL_M, FRONT_MPS = 100.0, 15.0
 """A jam begins with the first cell in which vehicles are slower than that."""
+FRONTS = "front", "Rankine-Hugoniot"
 DRIVERS = {"highway-env": 30.0, "naturalistic": 33.3}
 """The profiles whose IDM drives on the ring, and the desired speed there, m/s."""
-
-
-def exponent(p: IdmMobilConstants) -> float:
-    """The mean exponent of the drivers."""
-    return (p.exponent_low + p.exponent_high) / 2
-
-
-class Slopes(NamedTuple):
-    """The derivatives of IDM's acceleration in equilibrium."""
-
-    gap: float
-    speed: float
-    leader_faster: float
-    """By the leader's speed minus the own speed."""
-
-
-def equilibrium(density_per_km: float, p: IdmMobilConstants, desired: float) -> float:
-    """The speed at which IDM keeps a density, m/s; its gap is centre to centre, 1 / density."""
-    gap = 1000 / density_per_km
-
-    def excess(speed: float) -> float:
-        return 1 - (speed / desired) ** exponent(p) - (equilibrium_gap(speed, p) / gap) ** 2
-
-    return float(brentq(excess, 0.0, desired))
-
-
-def slopes(density_per_km: float, p: IdmMobilConstants, desired: float) -> Slopes:
-    """The derivatives of IDM's acceleration at the equilibrium of a density."""
-    gap, speed = 1000 / density_per_km, equilibrium(density_per_km, p, desired)
-    delta, a, b = exponent(p), p.acceleration_mps2, p.deceleration_mps2
-    wanted = equilibrium_gap(speed, p)
-    free = delta * speed ** (delta - 1) / desired**delta
-    return Slopes(
-        gap=2 * a * wanted**2 / gap**3,
-        speed=-a * (free + 2 * p.time_headway_s * wanted / gap**2),
-        leader_faster=speed * wanted * np.sqrt(a / b) / gap**2,
-    )
-
-
-def critical_density(p: IdmMobilConstants, desired: float) -> float:
-    """The density per km from which on long waves grow (Wilson & Ward 2011)."""
-
-    def stability(density: float) -> float:
-        f = slopes(density, p, desired)
-        return f.speed**2 / 2 - f.leader_faster * f.speed - f.gap
-
-    return float(brentq(stability, 12.0, 45.0))
-
-
-def growth_rate(density_per_km: float, p: IdmMobilConstants, desired: float) -> float:
-    """The rate 1/s at which the longest wave of the ring grows by linear theory."""
-    f = slopes(density_per_km, p, desired)
-    ahead = np.exp(2j * np.pi / RING_VEHICLES) - 1
-    return float(np.roots([1, -f.speed - f.leader_faster * ahead, -f.gap * ahead]).real.max())
-
-
-def ring(
-    profile: str, desired: float, densities: Floats, seconds: float, displacement_m: float = SMALL_M
-) -> tuple[Floats, Floats]:
-    """What becomes of a displacement, a sine of one period, on rings of several densities.
-
-    The growth rates (D,) of the longest wave, 1/s, and the vehicles' speeds (D, N) at the end.
-    """
-    length = desired * seconds + 2e5 / densities.min()
-    settings = SceneSettings.model_validate(
-        {
-            "profile": {"name": profile, "road_length_m": length, "idm_mobil": NO_LANE_CHANGES},
-            "lanes": 2,
-            "traffic_vehicles": RING_VEHICLES,
-            "ego_slots": 1,
-        }
-    )
-    rows, idm = np.arange(densities.size), make_agent("idm_mobil")
-    assert isinstance(idm, DriverModel)
-    engine = BatchedEngine(settings, densities.size, {1: idm})
-    seeds = np.zeros(densities.size, dtype=np.uint64)
-    engine.reset(rows, seeds, np.repeat([[0] + [1] * RING_VEHICLES], densities.size, axis=0))
-    scene, gap = engine.scene, 1000 / densities[:, None]
-    number = np.arange(1, RING_VEHICLES + 1)
-    p = PROFILES[profile].idm_mobil
-    scene.x[:, 1:] = number * gap + displacement_m * np.sin(2 * np.pi * number / RING_VEHICLES)
-    scene.x[:, 0] = (RING_VEHICLES + 1) * gap[:, 0]
-    scene.speed[:] = [[equilibrium(density, p, desired)] for density in densities]
-    for name, value in {"y": 0.0, "target_lane": 0, "temperament": 0.5}.items():
-        getattr(scene, name)[:] = value
-    scene.target_speed[:] = desired
-    engine.restore(rows, seeds)
-    wave, steps = np.exp(2j * np.pi * number / RING_VEHICLES), round(seconds * 15)
-    sizes = []
-    for _ in range(steps):
-        scene.x[:, 0] = scene.x[:, 1] + RING_VEHICLES * gap[:, 0]
-        scene.speed[:, 0] = scene.speed[:, 1]
-        engine.advance()
-        sizes.append(np.abs(scene.speed[:, 1:] @ wave))
-    # The wave has its own shape after some time, and must not have grown large.
-    first, last = steps // 10, steps // 3
-    rates = (np.log(sizes[last]) - np.log(sizes[first])) * 15 / (last - first)
-    return rates, scene.speed[:, 1:].copy()
 
 
 class Flow(NamedTuple):
@@ -265,31 +159,24 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
     }
     roads = {(f"{flow:.0f}", "none"): each for flow, each in flows.items()}
     roads |= {("2000", f"{speed:.0f} m/s"): each for speed, each in jams.items()}
+    names = ("density", "flow", "entered", "crashed")
     rows = [
-        {
-            "inflow": inflow,
-            "bottleneck": bottleneck,
-            "entered": each.entered_per_h,
-            "density": each.density_per_km,
-            "flow": each.flow_per_h,
-            "crashed": each.crashed,
-        }
+        {"inflow": inflow, "bottleneck": bottleneck, **dict(zip(names, each, strict=False))}
         for (inflow, bottleneck), each in roads.items()
     ]
-    shocks = []
-    for speed, each in jams.items():
-        front, computed = shock_speeds(each)
-        bottleneck = f"{speed:.0f} m/s"
-        shocks.append({"bottleneck": bottleneck, "front": front, "Rankine-Hugoniot": computed})
+    shocks = [
+        {"bottleneck": f"{speed:.0f} m/s", **dict(zip(FRONTS, shock_speeds(each), strict=True))}
+        for speed, each in jams.items()
+    ]
     columns = dict.fromkeys(("entered", "density", "flow"), ".1f") | {"crashed": ".0f"}
     print(markdown(Table.plain(rows, ("inflow", "bottleneck"), columns)), end="\n\n")
-    shown = dict.fromkeys(("front", "Rankine-Hugoniot"), ".1f")
-    print(markdown(Table.plain(shocks, ("bottleneck",), shown)), end="\n\n")
+    of_fronts = dict.fromkeys(FRONTS, ".1f")
+    print(markdown(Table.plain(shocks, ("bottleneck",), of_fronts)), end="\n\n")
     print(
         f"An hour of 5 km, 4 lanes and 2,000 vehicles per hour and lane: {hour_s:.1f} s of one "
-        f"core, {busiest.crashed} of {busiest.entered_per_h * 4:.0f} vehicles crashed."
+        f"core, {busiest.crashed} of {busiest.entered_per_h * 4:.0f} vehicles crashed.\n"
+        f"Each of the other flows took {each_s:.1f} s."
     )
-    print(f"Each of the other flows took {each_s:.1f} s.")
     for k, group in enumerate((flows, jams)):
         points = np.array([(each.density_per_km, each.flow_per_h) for each in group.values()])
         axes[2].plot(*points.T, "os"[k], color=SERIES[k], label=("free", "bottleneck")[k])

@@ -3,6 +3,8 @@
     python tools/write_results.py suites RUNS
     python tools/write_results.py mutants RUN
     python tools/write_results.py likeness DATA
+    python tools/write_results.py plan-roads NETWORKS RUNS
+    python tools/write_results.py rare-coverage
 
 RUNS holds the run folders of the suites by their names, `RUNS/ego` and so on, and that of the
 training as `RUNS/train`. Each gives a file in `docs/results`, which then replaces the text between
@@ -11,8 +13,7 @@ hold stays as it is. The tables of docs/reproduction.md compare `RUNS/released-e
 and so on. CSV files beside them hold the numbers of long tables. `RUNS/rare` is what
 `charms-bench rare suites/rare.yaml --output RUNS/rare` made, and `rare_comparison` names others.
 
-The other commands write the tables of docs/mutants.md and docs/likeness.md; `mutants` and
-`likeness_page` say of what.
+The other commands write tables of other pages; the modules that they are from say of what.
 """
 
 import sys
@@ -22,6 +23,8 @@ from pathlib import Path
 
 import likeness_page
 import mutants
+import plan_roads_tables
+import rare_coverage
 import run_results as of_runs
 import suite_results as of_suites
 from rare_comparison import rare_comparison, rare_estimate
@@ -72,9 +75,11 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "suites": suites,
     "mutants": mutants.write,
     "likeness": likeness_page.write_page,
+    "plan-roads": plan_roads_tables.tables,
+    "rare-coverage": rare_coverage.write,
 }
 
 if __name__ == "__main__":
-    if len(sys.argv) < 3 or sys.argv[1] not in COMMANDS:
+    if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
         sys.exit(f"usage: python tools/write_results.py {'|'.join(COMMANDS)} FOLDER ...")
     COMMANDS[sys.argv[1]](*map(Path, sys.argv[2:]))

@@ -62,13 +62,5 @@ def audit(
     warm_up()
     count = len(list((path / CHECKSUMS).glob("*.sha256")))
     with progress("shards", min(shards or count, count) or 1) as tell:
-        found = audit_run(
-            folder,
-            suite,
-            shards,
-            seed,
-            workers,
-            lambda cell, episodes: tell(cell.ego.title, 1),
-            notice,
-        )
+        found = audit_run(folder, suite, shards, seed, workers, tell, notice)
         return Audit(path, (*found, *tables))

@@ -85,18 +85,8 @@ def run(
 
     try:
         with progress("episodes", loaded.episodes * len(loaded.cells)) as tell:
-            finished = runner.run(
-                loaded,
-                folder,
-                workers,
-                lambda cell, count: tell(cell.ego.title, count),
-                taken,
-                shard_limit_s or SHARD_LIMIT_S,
-                notice,
-                on_dask,
-                measure_cell,
-                shorten,
-            )
+            given = taken, shard_limit_s or SHARD_LIMIT_S, notice, on_dask, measure_cell, shorten
+            finished = runner.run(loaded, folder, workers, tell, *given)
         from charms_bench.report.run_files import write_run
 
         with locked(folder):

@@ -98,16 +98,7 @@ def rare(
     note_roads(loaded)
     try:
         with progress("pilots and runs", (runs + 1) * len(loaded.cells)) as tell:
-            cells, failed = run_rare(
-                loaded,
-                folder,
-                event,
-                runs,
-                samples,
-                workers,
-                lambda cell, count: tell(cell.ego.title, count),
-                notice,
-            )
+            cells, failed = run_rare(loaded, folder, event, runs, samples, workers, tell, notice)
         from charms_bench.report.rare_table import rare_runs, rare_table
         from charms_bench.report.run_files import write_table
 

@@ -268,7 +268,8 @@ class Run:
         from charms_bench.api.shown import ShownReplay
         from charms_bench.episodes.replay import replay
 
-        return ShownReplay.of(replay(self._cell(ego, traffic, road, ego_index), [episode])[0])
+        (found,) = replay(self._cell(ego, traffic, road, ego_index), [episode])
+        return ShownReplay(**vars(found))
 
     def _cell(
         self, ego: str | None, traffic: str | None, road: str | None, ego_index: int = 0
@@ -338,7 +339,7 @@ class Run:
         from charms_bench.episodes.what_if import what_if
 
         cell = self._cell(ego, traffic, road, ego_index)
-        return ShownWhatIf.of(what_if(cell, episode, step, agent, vehicle))
+        return ShownWhatIf(**vars(what_if(cell, episode, step, agent, vehicle)))
 
     def avoidability(
         self,

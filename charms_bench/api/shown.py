@@ -24,11 +24,6 @@ LINES = 20
 class ShownReplay(Replay):
     """A replay with its views; a notebook shows it with the player of the report."""
 
-    @classmethod
-    def of(cls, replay: Replay) -> "ShownReplay":
-        """The same replay."""
-        return cls(**vars(replay))
-
     def animate(self, path: str | Path, caption: str | None = None) -> None:
         """Writes the episode as an animated GIF that plays in real time.
 
@@ -79,11 +74,6 @@ class ShownReplay(Replay):
 
 class ShownWhatIf(WhatIf):
     """Two futures of an episode that a notebook shows with the player of the report."""
-
-    @classmethod
-    def of(cls, found: WhatIf) -> "ShownWhatIf":
-        """The same futures."""
-        return cls(**vars(found))
 
     def _repr_html_(self) -> str:
         from charms_bench.report.html.single import replay_in_frame

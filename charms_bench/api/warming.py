@@ -2,13 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from charms_bench.foundation.progress import (
-    ENGINE,
-    ENGINE_OF_ROADS,
-    note,
-    note_compiling,
-    progress,
-)
+from charms_bench.foundation.progress import ENGINE, ENGINE_OF_ROADS, note, note_compiling, progress
 
 if TYPE_CHECKING:
     from charms_bench.runs.suite import Suite

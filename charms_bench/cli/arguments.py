@@ -1,12 +1,14 @@
 """The groups of commands, and the arguments and options that several commands have."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from charms_bench.cli.terminal import print_only_json
-from charms_bench.foundation.files import absolute
+from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute, check_ending
 
 EVALUATE = "Evaluate"
 FAILURES = "Find and explain failures"
@@ -16,47 +18,44 @@ DATA = "Human driving and datasets"
 ROADS = "Roads"
 """The groups of commands in `--help`, each a command's `rich_help_panel`."""
 Json = Annotated[
-    bool,
-    typer.Option("--json", callback=print_only_json, help="Print only JSON on standard output."),
+    bool, Option("--json", callback=print_only_json, help="Print only JSON on standard output.")
 ]
 Workers = Annotated[
     int | None,
-    typer.Option(min=1, max=1024, help="Number of worker processes; the default is one per core."),
+    Option(min=1, max=1024, help="Number of worker processes; the default is one per core."),
 ]
 MetricSets = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--set",
         metavar="NAME[:OPTION=VALUE,...]",
         help="Metric set, e.g. standard:ttc_s=2; repeat for more. The default is paper and "
         "standard.",
     ),
 ]
-RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
+RunPath = Annotated[Path, Argument(metavar="RUN", help="Folder of a finished run.")]
 EgoLabel = Annotated[
-    str | None, typer.Option("--ego", help="Select the ego with this label in the tables.")
+    str | None, Option("--ego", help="Select the ego with this label in the tables.")
 ]
 TrafficLabel = Annotated[
-    str | None, typer.Option("--traffic", help="Select the traffic model with this label.")
+    str | None, Option("--traffic", help="Select the traffic model with this label.")
 ]
-RoadLabel = Annotated[str | None, typer.Option("--road", help="Select the road with this label.")]
+RoadLabel = Annotated[str | None, Option("--road", help="Select the road with this label.")]
 EgoAgents = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--agent",
         help="Installed agent, or ONNX file of a network, that drives the ego besides the suite's "
         "egos; repeat for more.",
     ),
 ]
 AnySuite = Annotated[
-    Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
+    Path, Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
 ]
-SuiteFolder = Annotated[
-    Path, typer.Option(help="Folder that relative paths in the suite refer to.")
-]
+SuiteFolder = Annotated[Path, Option(help="Folder that relative paths in the suite refer to.")]
 Recordings = Annotated[
     Path,
-    typer.Argument(
+    Argument(
         metavar="RECORDINGS",
         help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
         "of I-24 or I-75.",
@@ -64,19 +63,26 @@ Recordings = Annotated[
 ]
 
 
-def drawable(path: Path | None) -> Path | None:
-    """The absolute path of a figure; raises an `InputError` if no figure can have its name."""
-    if path is None:
-        return None
-    from charms_bench.report.figures.drawing import check_figure
+def ending_in(*endings: str, is_new: bool = False) -> Callable[[Path | None], Path | None]:
+    """Makes the path of an option absolute; an `InputError` if its name has another ending.
 
-    check_figure(path)
-    return absolute(path)
+    If it `is_new`, a file that exists is an error, too.
+    """
+
+    def checked(path: Path | None) -> Path | None:
+        if path is None:
+            return None
+        check_ending(path, *endings)
+        if is_new and path.exists():
+            raise InputError(f"{path}: exists already; expected the name of a new file")
+        return absolute(path)
+
+    return checked
 
 
+NEW_JSON, FIGURE = ending_in(".json", is_new=True), ending_in(".pdf", ".png", ".svg")
+GIF, HTML, XML = ending_in(".gif"), ending_in(".html", ".htm"), ending_in(".xml")
 FigurePath = Annotated[
     Path | None,
-    typer.Option(
-        "--figure", callback=drawable, help="Draw a figure into this .png, .pdf or .svg file."
-    ),
+    Option("--figure", callback=FIGURE, help="Draw a figure into this .png, .pdf or .svg file."),
 ]

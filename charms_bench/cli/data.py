@@ -4,7 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import typer
+from typer import Argument, Option
 
 import charms_bench
 from charms_bench.cli import arguments
@@ -13,6 +13,7 @@ from charms_bench.cli.terminal import (
     end_with_json,
     err,
     interruptible,
+    print_facts,
     print_records,
     print_table,
     say,
@@ -53,7 +54,7 @@ def data(
     if as_json:
         samplers = {name: asdict(each) for name, each in learnable.items()}
         end_with_json({**facts, "samplers": samplers})
-    _print_facts(_facts(facts))
+    print_facts(_facts(facts))
     if abs(facts["offset_mean_m"] or 0.0) > OFF_CENTRE_M:
         side = "right" if facts["offset_mean_m"] > 0 else "left"
         say(
@@ -91,14 +92,9 @@ def _print_trips(path: Path, as_json: bool) -> None:
         end_with_json(facts)
     forms = dict.fromkeys(("drivers", "trips"), ",")
     forms |= dict.fromkeys(("speed_mean_mps", "gap_mean_m"), "z.1f")
-    _print_facts(
+    print_facts(
         {name.replace("_", " "): f"{n:{forms.get(name, 'z.2f')}}" for name, n in facts.items()}
     )
-
-
-def _print_facts(facts: dict[str, str]) -> None:
-    records = [{"fact": fact, "found": value} for fact, value in facts.items()]
-    print_records("fact", records, {"found": ""})
 
 
 def _facts(found: dict[str, Any]) -> dict[str, str]:
@@ -145,8 +141,9 @@ def _print_learnable(name: str, found: Any) -> None:
 @app.command(rich_help_panel=arguments.DATA)
 def calibrate(
     recordings: arguments.Recordings,
-    to: Path | None = typer.Option(
+    to: Path | None = Option(
         None,
+        callback=arguments.NEW_JSON,
         help="New file NAME.json for the population, from which the agent human draws drivers.",
     ),
     figure: arguments.FigurePath = None,
@@ -162,9 +159,6 @@ def calibrate(
     from charms_bench.report.figures.predictive import draw
 
     recordings = absolute(recordings)
-    if to is not None and (to.suffix != ".json" or to.exists()):
-        what = "exists already" if to.suffix == ".json" else "does not end in .json"
-        raise InputError(f"{to}: {what}; expected the name of a new file that ends in .json")
     with interruptible():
         found = calibrated(read_trips(recordings), note)
         choices = read_choices(recordings, found.fit.point, found.held_out_drivers)
@@ -203,31 +197,31 @@ def calibrate(
             f"[{low:z.2f}, {high:z.2f}]"
         )
     for path in filter(None, (to, figure)):
-        say(f"Written: {shown(absolute(path))}")
+        say(f"Written: {shown(path)}")
 
 
 @app.command(rich_help_panel=arguments.DATA)
 def likeness(
-    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
+    suite: Annotated[Path, Argument(metavar="SUITE", help="YAML file of the suite.")],
     recordings: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             metavar="RECORDINGS",
             help="Folder of recordings in highD's format, CSV table of NGSIM, the Parquet table of "
             "I-24 or I-75, or a folder of CommonRoad scenarios.",
         ),
     ],
-    population: str | None = typer.Option(
+    population: str | None = Option(
         None,
         help="Population that was fitted to these recordings: i24, i75, or a JSON file of "
         "`charms-bench calibrate`. Not for CommonRoad scenarios.",
     ),
-    half: Literal["both", "selection", "test"] = typer.Option(
+    half: Literal["both", "selection", "test"] = Option(
         "both",
         help="Compare with the first, third, ... of the held-out drivers (selection), or with "
         "the others (test), to select an agent by some drivers and report it on others.",
     ),
-    controls: bool = typer.Option(
+    controls: bool = Option(
         False,
         "--controls",
         help="Also score drivers with known faults, such as copied accelerations, to see what "
@@ -283,7 +277,7 @@ def likeness(
 @app.command(rich_help_panel=arguments.DATA)
 def dataset(
     run: arguments.RunPath,
-    kind: Literal["minari", "highd", "parquet"] = typer.Option(
+    kind: Literal["minari", "highd", "parquet"] = Option(
         ...,
         "--format",
         help="minari: observations, actions and rewards of the ego. highd: trajectories of all "
@@ -292,12 +286,10 @@ def dataset(
     ego: arguments.EgoLabel = None,
     road: arguments.RoadLabel = None,
     traffic: arguments.TrafficLabel = None,
-    episodes: int | None = typer.Option(
+    episodes: int | None = Option(
         None, min=1, help="Number of episodes, from the first; the default is all."
     ),
-    output: Path | None = typer.Option(
-        None, help="New folder; the default is one in the run folder."
-    ),
+    output: Path | None = Option(None, help="New folder; the default is one in the run folder."),
     suite_folder: arguments.SuiteFolder = Path(),
     as_json: arguments.Json = False,
 ) -> None:

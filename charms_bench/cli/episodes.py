@@ -1,12 +1,11 @@
 """`rare`, `edge-cases`, `replay`, `what-if` and `search`: failures, and single episodes."""
 
 from dataclasses import asdict
-from io import BytesIO
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
+from typer import Argument, Option
 
 import charms_bench
 from charms_bench.cli import arguments
@@ -20,7 +19,7 @@ from charms_bench.cli.terminal import (
     shown,
 )
 from charms_bench.errors import InputError
-from charms_bench.foundation.files import absolute, write_bytes
+from charms_bench.foundation.files import write_bytes
 from charms_bench.foundation.words import counted
 
 if TYPE_CHECKING:
@@ -28,10 +27,10 @@ if TYPE_CHECKING:
     from charms_bench.episodes.edge_cases import EdgeCase
 
 Episode = Annotated[
-    int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
+    int, Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
 ]
 EgoIndex = Annotated[
-    int, typer.Option(min=0, help="Which of several egos, as in `edge-cases`; it is vehicle 0.")
+    int, Option(min=0, help="Which of several egos, as in `edge-cases`; it is vehicle 0.")
 ]
 
 
@@ -39,24 +38,20 @@ EgoIndex = Annotated[
 def rare(
     suite: arguments.AnySuite,
     agents: arguments.EgoAgents = None,
-    event: str = typer.Option(
+    event: str = Option(
         "crash",
         metavar="NAME[:OPTION=VALUE,...]",
         help="Event: crash, ttc:below_s=1.0, or an event of a plugin.",
     ),
-    runs: int = typer.Option(
+    runs: int = Option(
         10,
         help="Independent runs per ego and traffic model, 5 to 1,000; more runs give a "
         "narrower interval.",
     ),
-    samples: int = typer.Option(
-        1000, help="Episodes per level of a run, a multiple of 5, at least 100."
-    ),
-    seed: int | None = typer.Option(
-        None, min=0, help="Seed of all random draws; overrides the suite."
-    ),
+    samples: int = Option(1000, help="Episodes per level of a run, a multiple of 5, at least 100."),
+    seed: int | None = Option(None, min=0, help="Seed of all random draws; overrides the suite."),
     workers: arguments.Workers = None,
-    output: Path | None = typer.Option(
+    output: Path | None = Option(
         None, help="Folder; the default is runs/SUITE-rare-EVENT, and each --agent."
     ),
     as_json: arguments.Json = False,
@@ -67,16 +62,8 @@ def rare(
     simulation would give an interval as narrow. Finished runs are not repeated.
     """
     with interruptible():
-        made = charms_bench.rare(
-            suite,
-            event,
-            output,
-            agents=agents or (),
-            runs=runs,
-            samples=samples,
-            seed=seed,
-            workers=workers,
-        )
+        sizes: dict[str, Any] = {"runs": runs, "samples": samples, "seed": seed, "workers": workers}
+        made = charms_bench.rare(suite, event, output, agents=agents or (), **sizes)
     if as_json:
         end_with_json(made.table.frame().to_dicts())
     print_table(made.table.without_constant_keys(), stacked=True)
@@ -86,22 +73,22 @@ def rare(
 @app.command(rich_help_panel=arguments.FAILURES)
 def edge_cases(
     run: arguments.RunPath,
-    top: int = typer.Option(10, min=1, max=10_000_000, help="Maximum number of episodes to list."),
+    top: int = Option(10, min=1, max=10_000_000, help="Maximum number of episodes to list."),
     kind: Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]
-    | None = typer.Option(
+    | None = Option(
         None,
         help="List only this kind. In an abandoned lane change, another vehicle takes the gap.",
     ),
     ego: arguments.EgoLabel = None,
     road: arguments.RoadLabel = None,
     traffic: arguments.TrafficLabel = None,
-    avoidable: bool = typer.Option(
+    avoidable: bool = Option(
         False,
         "--avoidable",
         help="For each collision, state the last avoidable moment, and which "
         "agents would have avoided it.",
     ),
-    budget: int = typer.Option(
+    budget: int = Option(
         200_000, min=1, help="For --avoidable: maximum number of decisions per collision."
     ),
     suite_folder: arguments.SuiteFolder = Path(),
@@ -169,29 +156,26 @@ def replay(
     road: arguments.RoadLabel = None,
     traffic: arguments.TrafficLabel = None,
     ego_index: EgoIndex = 0,
-    output: Path | None = typer.Option(
+    output: Path | None = Option(
         None,
         metavar="OUT.gif",
+        callback=arguments.GIF,
         help="File of the animation; the trajectories are written beside it.",
     ),
-    commonroad: Path | None = typer.Option(
-        None, metavar="OUT.xml", help="Also write the episode as a CommonRoad scenario."
+    commonroad: Path | None = Option(
+        None,
+        metavar="OUT.xml",
+        callback=arguments.XML,
+        help="Also write the episode as a CommonRoad scenario.",
     ),
     suite_folder: arguments.SuiteFolder = Path(),
     as_json: arguments.Json = False,
 ) -> None:
     """Write an animation and the trajectories of an episode."""
-    from charms_bench.episodes.animation import check_animation
-    from charms_bench.episodes.commonroad import check_commonroad
     from charms_bench.episodes.dataset import name_of
     from charms_bench.runs.lock import folder_in
+    from charms_bench.runs.shard import in_parquet
 
-    if output is not None:
-        check_animation(output)
-        output = absolute(output)
-    if commonroad is not None:
-        check_commonroad(commonroad)
-        commonroad = absolute(commonroad)
     opened = charms_bench.open_run(run, suite_folder)
     replayed = opened.replay(episode, ego, traffic, road, ego_index)
     cell = replayed.cell
@@ -203,9 +187,8 @@ def replay(
     what = replayed.what_happened()
     if commonroad is not None:  # first, because it is not possible of every episode
         replayed.write_commonroad(commonroad)
-    table = BytesIO()  # polars cannot write to every name that a file can have
-    replayed.trajectories().write_parquet(table)
-    write_bytes(trajectories, table.getvalue())
+    # polars cannot write to every name that a file can have.
+    write_bytes(trajectories, in_parquet(replayed.trajectories()))
     replayed.animate(animation)
     files = {"animation": str(animation), "trajectories": str(trajectories)}
     if commonroad is not None:
@@ -227,27 +210,25 @@ def replay(
 def what_if(
     run: arguments.RunPath,
     episode: Episode,
-    at: int = typer.Option(
+    at: int = Option(
         ...,
         "--at",
         metavar="STEP",
         min=1,
         help="First decision of the other agent; decisions are counted from 1.",
     ),
-    other: str = typer.Option(
+    other: str = Option(
         ..., "--agent", metavar="OTHER", help="An installed agent, or the path of a network."
     ),
-    vehicle: int | None = typer.Option(
+    vehicle: int | None = Option(
         None, min=0, help="The vehicle, by its number in replays; the default is the ego."
     ),
-    ego: str | None = typer.Option(
-        None, "--ego", help="Label of the recorded ego, as in the tables."
-    ),
+    ego: str | None = Option(None, "--ego", help="Label of the recorded ego, as in the tables."),
     road: arguments.RoadLabel = None,
     traffic: arguments.TrafficLabel = None,
     ego_index: EgoIndex = 0,
-    output: Path | None = typer.Option(
-        None, metavar="OUT.html", help="File of the page with the replay."
+    output: Path | None = Option(
+        None, metavar="OUT.html", callback=arguments.HTML, help="File of the page with the replay."
     ),
     suite_folder: arguments.SuiteFolder = Path(),
     as_json: arguments.Json = False,
@@ -255,14 +236,10 @@ def what_if(
     """Let another agent drive from a decision of an episode on."""
     from charms_bench.episodes.dataset import name_of
     from charms_bench.foundation.names import name_of_agent
-    from charms_bench.report.html.page import check_page
     from charms_bench.report.html.single import write_what_if
     from charms_bench.report.what_if_table import what_if_table
     from charms_bench.runs.lock import folder_in
 
-    if output is not None:
-        check_page(output)
-        output = absolute(output)
     opened = charms_bench.open_run(run, suite_folder)
     found = opened.what_if(episode, at, other, vehicle, ego, traffic, road, ego_index)
     seat = "ego" if found.vehicle == found.recorded.ego else str(found.vehicle)
@@ -286,23 +263,21 @@ def what_if(
 
 @app.command(rich_help_panel=arguments.FAILURES)
 def search(
-    suite: Path = typer.Argument(
+    suite: Path = Argument(
         metavar="SUITE", help="YAML file with a scenario, or with a road that has `parameters`."
     ),
-    agent: str | None = typer.Option(
+    agent: str | None = Option(
         None, help="Installed agent, or ONNX file of a network, instead of --ego."
     ),
-    ego: str | None = typer.Option(
-        None, help="Label of an ego of the suite, or an installed agent."
-    ),
-    traffic: str | None = typer.Option(
+    ego: str | None = Option(None, help="Label of an ego of the suite, or an installed agent."),
+    traffic: str | None = Option(
         None, help="Label of the scenario, or of the traffic model on the road."
     ),
     road: arguments.RoadLabel = None,
-    failures: int = typer.Option(10, min=1, help="Number of failures after which the search ends."),
-    budget: int = typer.Option(5000, min=1, help="Number of episodes after which the search ends."),
-    seed: int = typer.Option(0, min=0, help="Seed of the search."),
-    output: Path | None = typer.Option(
+    failures: int = Option(10, min=1, help="Number of failures after which the search ends."),
+    budget: int = Option(5000, min=1, help="Number of episodes after which the search ends."),
+    seed: int = Option(0, min=0, help="Seed of the search."),
+    output: Path | None = Option(
         None, "--output", "-o", help="Folder; the default is runs/SUITE-search, and --agent."
     ),
     as_json: arguments.Json = False,
@@ -315,17 +290,8 @@ def search(
     from charms_bench.episodes.search import FOUND
 
     with interruptible():
-        made = charms_bench.search(
-            suite,
-            ego,
-            traffic,
-            output,
-            road=road,
-            agent=agent,
-            failures=failures,
-            budget=budget,
-            seed=seed,
-        )
+        limits = {"failures": failures, "budget": budget, "seed": seed}
+        made = charms_bench.search(suite, ego, traffic, output, road=road, agent=agent, **limits)
     assert made.path is not None
     found = shown(made.path / FOUND)
     if as_json:

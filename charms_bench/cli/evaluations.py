@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 import charms_bench
 from charms_bench.cli import arguments
@@ -27,7 +28,7 @@ from charms_bench.foundation.files import read_file
 from charms_bench.foundation.words import counted
 
 AllMetrics = Annotated[
-    bool, typer.Option("--all", help="Show every metric, not only the suite's columns.")
+    bool, Option("--all", help="Show every metric, not only the suite's columns.")
 ]
 EARLY_WORKERS = 4
 """The most workers that start before the suite is read; a finished run needs none of them."""
@@ -43,7 +44,7 @@ VERDICTS = {
 
 @app.command(rich_help_panel=arguments.EVALUATE)
 def suites(
-    copy: str | None = typer.Option(
+    copy: str | None = Option(
         None, metavar="NAME", help="Copy this suite to the current folder, to edit it."
     ),
     as_json: arguments.Json = False,
@@ -72,24 +73,24 @@ def suites(
 def run(
     suite: arguments.AnySuite,
     agents: arguments.EgoAgents = None,
-    episodes: int | None = typer.Option(
+    episodes: int | None = Option(
         None, min=1, help="Episodes per ego and traffic model; overrides the suite."
     ),
     workers: arguments.Workers = None,
-    seed: int | None = typer.Option(
+    seed: int | None = Option(
         None,
         min=0,
         help="Seed of the first episode, or the seed of a training; overrides the suite.",
     ),
-    output: Path | None = typer.Option(
+    output: Path | None = Option(
         None, help="Run folder; the default is runs/SUITE, followed by each --agent."
     ),
-    rows: Path | None = typer.Option(
+    rows: Path | None = Option(
         None,
         metavar="RUN",
         help="Another run folder; episodes that it contains are copied, not simulated.",
     ),
-    shard_limit_s: float | None = typer.Option(
+    shard_limit_s: float | None = Option(
         None,
         "--shard-limit",
         min=1,
@@ -97,24 +98,24 @@ def run(
         help="Time limit for one shard (150 episodes), including the start of its worker; "
         "the default is 1800.",
     ),
-    shorten: bool = typer.Option(
+    shorten: bool = Option(
         False, "--shorten", help="Delete finished episodes that the suite no longer has."
     ),
-    cluster: str | None = typer.Option(
+    cluster: str | None = Option(
         None,
         metavar="ADDRESS",
         help="Address of a Dask scheduler; its cluster runs the suite, e.g. tcp://HOST:8786.",
     ),
-    only: str | None = typer.Option(
+    only: str | None = Option(
         None, help="Train only this stage of a training suite, and the stages that it needs."
     ),
-    steps: int | None = typer.Option(
+    steps: int | None = Option(
         None,
         min=1,
         help="Environment steps of every stage of a training, such as a few for a trial; "
         "overrides the suite.",
     ),
-    recordings: Path | None = typer.Option(
+    recordings: Path | None = Option(
         None, help="Folder of human recordings for training; overrides the suite."
     ),
     as_json: arguments.Json = False,
@@ -176,10 +177,10 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
 
 @app.command(rich_help_panel=arguments.EVALUATE)
 def show(
-    run: Path = typer.Argument(
+    run: Path = Argument(
         metavar="RUN", help="Folder of an evaluation, a training, `rare` or `search`."
     ),
-    metrics: list[str] | None = typer.Option(
+    metrics: list[str] | None = Option(
         None, "--metric", help="Show only this metric; repeat for more."
     ),
     everything: AllMetrics = False,
@@ -272,17 +273,17 @@ def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
 
 @app.command(rich_help_panel=arguments.EVALUATE)
 def compare(
-    first: Path = typer.Argument(metavar="RUN_A", help="Folder of a finished run."),
-    second: Path | None = typer.Argument(
+    first: Path = Argument(metavar="RUN_A", help="Folder of a finished run."),
+    second: Path | None = Argument(
         None, metavar="[RUN_B]", help="Another run of the same episodes."
     ),
-    egos: tuple[str, str] | None = typer.Option(
+    egos: tuple[str, str] | None = Option(
         None,
         metavar="A B",
         help="Labels of the egos in the tables. With one run, both are from it; with two "
         "runs, A is from RUN_A and B is from RUN_B.",
     ),
-    metrics: list[str] | None = typer.Option(
+    metrics: list[str] | None = Option(
         None,
         "--metric",
         help="Test only this metric; repeat for more. Fewer tests have more power; choose "
@@ -328,20 +329,20 @@ def rescore(
 
 @app.command(rich_help_panel=arguments.EVALUATE)
 def report(
-    runs: list[Path] = typer.Argument(
+    runs: list[Path] = Argument(
         metavar="RUN...", help="Folders of finished runs, trainings, `rare` and `search`."
     ),
-    output: Path = typer.Option(
+    output: Path = Option(
         Path("report.html"), "--output", "-o", metavar="OUT.html", help="HTML file to write."
     ),
-    top: int = typer.Option(10, min=0, max=100, help="Number of most critical episodes to replay."),
-    episodes: list[str] | None = typer.Option(
+    top: int = Option(10, min=0, max=100, help="Number of most critical episodes to replay."),
+    episodes: list[str] | None = Option(
         None,
         "--episode",
         metavar="RUN:EPISODE[:EGO[:TRAFFIC]]",
         help="Also replay this episode; repeat for more.",
     ),
-    what_if: str | None = typer.Option(
+    what_if: str | None = Option(
         None,
         metavar="STEP:AGENT[:VEHICLE]",
         help="Also show the future of each --episode with another agent from decision STEP on; "
@@ -365,11 +366,11 @@ def report(
 @app.command(rich_help_panel=arguments.EVALUATE)
 def audit(
     run: arguments.RunPath,
-    everything: bool = typer.Option(
+    everything: bool = Option(
         False, "--all", help="Simulate every shard again, not only a sample."
     ),
-    shards: int = typer.Option(10, min=1, help="Number of shards to simulate again."),
-    seed: int | None = typer.Option(
+    shards: int = Option(10, min=1, help="Number of shards to simulate again."),
+    seed: int | None = Option(
         None, min=0, help="Seed that chooses the shards; by default, a new one."
     ),
     workers: arguments.Workers = None,

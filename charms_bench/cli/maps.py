@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 import charms_bench
 from charms_bench.cli import arguments
-from charms_bench.cli.terminal import app, end_with_json, print_records, say, shown
+from charms_bench.cli.terminal import app, end_with_json, print_facts, say, shown
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.words import counted
@@ -21,36 +21,34 @@ MOST_GAPS = MOST_ROADS = 10
 def road(
     file: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             metavar="FILE",
             help="OpenDRIVE file, SUMO network, CommonRoad scenario, or road file of charms-bench.",
         ),
     ],
     to: Annotated[
-        Path | None, typer.Option(help="New file NAME.json for the roads, a road file.")
+        Path | None,
+        Option(callback=arguments.NEW_JSON, help="New file NAME.json for the roads, a road file."),
     ] = None,
     figure: arguments.FigurePath = None,
     around: Annotated[
         tuple[float, float] | None,
-        typer.Option(
+        Option(
             metavar="X Y",
             help="Keep only roads that come within --radius of this point of the map, m.",
         ),
     ] = None,
     radius: Annotated[
-        float | None, typer.Option(min=0.0, help="How far roads may be from --around, m.")
+        float | None, Option(min=0.0, help="How far roads may be from --around, m.")
     ] = None,
     as_json: arguments.Json = False,
 ) -> None:
     """Describe a road map, and write it as a road file."""
     if (around is None) != (radius is None):
         raise InputError("--around and --radius belong together; expected both or neither")
-    if to is not None and (to.suffix != ".json" or to.exists()):
-        what = "exists already" if to.suffix == ".json" else "does not end in .json"
-        raise InputError(f"{to}: {what}; expected the name of a new file that ends in .json")
     found = charms_bench.read_road(absolute(file), around=around, radius=radius)
     if to is not None:
-        charms_bench.write_road(found, absolute(to))
+        charms_bench.write_road(found, to)
     if figure is not None:
         from charms_bench.report.figures.drawing import save
         from charms_bench.report.figures.road_map import draw
@@ -63,8 +61,7 @@ def road(
     facts = {**found.facts(), "named_roads": named, "recorded": facts_of(absolute(file))}
     if as_json:
         end_with_json(facts)
-    records = [{"fact": fact, "found": value} for fact, value in _in_words(facts).items()]
-    print_records("fact", records, {"found": ""})
+    print_facts(_in_words(facts))
     gaps = facts["gaps"]
     for gap in gaps[:MOST_GAPS]:
         one, other = gap["lanes"]
@@ -79,17 +76,15 @@ def road(
         more = f", and {len(named) - MOST_ROADS:,} more" if len(named) > MOST_ROADS else ""
         say(f"Roads outside of junctions, by their nodes, for scenarios: {listed}{more}")
     for path in filter(None, (to, figure)):
-        say(f"Written: {shown(absolute(path))}")
+        say(f"Written: {shown(path)}")
 
 
 @app.command(rich_help_panel=arguments.ROADS)
 def drive(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Road file or map, as for `road`.")],
-    vehicles: Annotated[int, typer.Option(min=2, help="How many vehicles drive.")] = 100,
-    hours: Annotated[float, typer.Option(min=0.001, max=1000.0, help="For how long.")] = 1.0,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Decides where vehicles start and where they go.")
-    ] = 0,
+    file: Annotated[Path, Argument(metavar="FILE", help="Road file or map, as for `road`.")],
+    vehicles: Annotated[int, Option(min=2, help="How many vehicles drive.")] = 100,
+    hours: Annotated[float, Option(min=0.001, max=1000.0, help="For how long.")] = 1.0,
+    seed: Annotated[int, Option(min=0, help="Decides where vehicles start and where they go.")] = 0,
     as_json: arguments.Json = False,
 ) -> None:
     """Let traffic drive on a road for hours, and count what goes wrong."""
@@ -100,7 +95,7 @@ def drive(
     if as_json:
         end_with_json(facts)
     kinds = "; ".join(f"{count} {kind}" for kind, count in found.crashes.items())
-    records = {
+    facts = {
         "driven": f"{found.km:,.1f} km in {found.hours:g} h by {found.vehicles} vehicles",
         "collisions": f"{sum(found.crashes.values())} ({kinds or 'none'})",
         "collisions in 1,000 km": f"{found.crashes_per_1000_km:.1f}",
@@ -109,8 +104,7 @@ def drive(
         "left at an end of the road": counted(found.left, "vehicle"),
         "time at standstill": f"{100 * found.stationary:.1f} %",
     }
-    rows = [{"fact": fact, "found": value} for fact, value in records.items()]
-    print_records("fact", rows, {"found": ""})
+    print_facts(facts)
 
 
 def _in_words(facts: dict[str, Any]) -> dict[str, str]:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import typer
+from typer import Argument, Option
 
 import charms_bench
 from charms_bench.cli import arguments
@@ -60,7 +61,7 @@ def agents(as_json: arguments.Json = False) -> None:
 )
 def traffic(
     context: typer.Context,
-    name: str = typer.Argument(help="Traffic model; its options follow, e.g. --tau 1.5."),
+    name: str = Argument(help="Traffic model; its options follow, e.g. --tau 1.5."),
     figure: arguments.FigurePath = None,
     as_json: arguments.Json = False,
 ) -> None:
@@ -105,7 +106,7 @@ def _options(words: list[str]) -> dict[str, Any]:
 
 @app.command(rich_help_panel=arguments.AGENTS)
 def check(
-    name: str = typer.Argument(help="Agent or traffic model."), as_json: arguments.Json = False
+    name: str = Argument(help="Agent or traffic model."), as_json: arguments.Json = False
 ) -> None:
     """Test whether a plugin follows the rules.
 
@@ -146,11 +147,9 @@ def check(
 
 @app.command(rich_help_panel=arguments.AGENTS)
 def new_agent(
-    name: str = typer.Argument(help="Name of the agent in suites."),
-    folder: Path | None = typer.Option(
-        None, help="Folder to create; the default is the agent's name."
-    ),
-    kind: Literal["policy", "planner", "memory", "driver-model", "traffic"] = typer.Option(
+    name: str = Argument(help="Name of the agent in suites."),
+    folder: Path | None = Option(None, help="Folder to create; the default is the agent's name."),
+    kind: Literal["policy", "planner", "memory", "driver-model", "traffic"] = Option(
         "policy",
         help="What to write: a policy, one that plans or that has memory, a driver model, or a "
         "traffic model.",
@@ -168,48 +167,46 @@ def new_agent(
 
 @app.command(rich_help_panel=arguments.AGENTS)
 def export(
-    files: list[Path] = typer.Argument(
+    files: list[Path] = Argument(
         metavar="CHECKPOINT... [OUT.onnx]",
         help="Zip file of a DQN, PPO, A2C, SAC, TD3 or DDPG of Stable-Baselines3 or a "
         "RecurrentPPO of sb3-contrib, and the ONNX file to write; with --to, any number of zip "
         "files.",
     ),
-    to: Path | None = typer.Option(
+    to: Path | None = Option(
         None,
         metavar="FOLDER",
         help="Folder to write to; each ONNX file is named like its zip file.",
     ),
-    observation: str | None = typer.Option(
+    observation: str | None = Option(
         None,
         metavar="NAME",
         help="Observation that the network was trained with: neighbours, paper_neighbours "
         "(networks of the paper's authors), or highway-env's Kinematics, with options such as "
         "'{type: Kinematics, vehicles_count: 7}'; the default is what the checkpoint states.",
     ),
-    environment: str | None = typer.Option(
+    environment: str | None = Option(
         None,
         metavar="NAME",
         help="Environment of highway-env that the network was trained in, such as merge-v0, with "
         "other values than its defaults as '{name: merge-v0, configuration: {policy_frequency: "
         "5}}'; the default is what the checkpoint states.",
     ),
-    normalise: Path | None = typer.Option(
+    normalise: Path | None = Option(
         None,
         metavar="FILE.npz",
         help="Mean, var and clip of the VecNormalize that the network was trained with; none "
         "if it normalised rewards only.",
     ),
-    decision_hz: float | None = typer.Option(
+    decision_hz: float | None = Option(
         None,
         min=0.001,
         max=1000,
         help="Decisions per second that the network was trained with; the default is what the "
         "checkpoint states, or 3, or 1 with Kinematics.",
     ),
-    style: str = typer.Option(
-        "", help="Description of how the network drives, stored in the file."
-    ),
-    stochastic: bool = typer.Option(
+    style: str = Option("", help="Description of how the network drives, stored in the file."),
+    stochastic: bool = Option(
         False,
         "--stochastic",
         help="Draw the actions of a PPO, A2C or RecurrentPPO at random, as in training; by "

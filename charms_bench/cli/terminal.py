@@ -16,6 +16,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import typer
+from typer import Option
 from typer.core import TyperGroup
 
 from charms_bench.errors import InputError
@@ -138,19 +139,15 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    version: bool = typer.Option(
+    version: bool = Option(
         False,
         "--version",
         callback=_print_version,
         is_eager=True,
         help="Print the version and exit.",
     ),
-    quiet: bool = typer.Option(
-        False, ANYWHERE[0], help="Print results and errors, but no progress."
-    ),
-    verbose: bool = typer.Option(
-        False, ANYWHERE[1], help="Print where in the code an error was raised."
-    ),
+    quiet: bool = Option(False, ANYWHERE[0], help="Print results and errors, but no progress."),
+    verbose: bool = Option(False, ANYWHERE[1], help="Print where in the code an error was raised."),
 ) -> None:
     """Benchmark driving behaviour on highway-env's roads and on road maps."""
     QUIET.set(quiet)
@@ -234,6 +231,12 @@ def print_records(
     from charms_bench.report.table import Table
 
     print_table(Table.plain(records, (key,), forms))
+
+
+def print_facts(facts: Mapping[str, str]) -> None:
+    """Prints a table of facts and their values."""
+    records = [{"fact": fact, "found": value} for fact, value in facts.items()]
+    print_records("fact", records, {"found": ""})
 
 
 def end_with_json(value: Any, code: int = 0) -> NoReturn:

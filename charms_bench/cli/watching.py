@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
+from typer import Argument, Option
 
 import charms_bench
 from charms_bench.cli import arguments
@@ -24,27 +24,25 @@ WIDEST = 120
 
 @app.command(rich_help_panel=arguments.FAILURES)
 def watch(
-    agent: str = typer.Argument(help="Ego: an installed agent, or the path of an ONNX file."),
-    traffic: str | None = typer.Option(
+    agent: str = Argument(help="Ego: an installed agent, or the path of an ONNX file."),
+    traffic: str | None = Option(
         None,
         help="Traffic model, or an agent that drives all other vehicles; the default is "
         "idm_mobil. With --suite, the label of one of its traffic models.",
     ),
-    road: str | None = typer.Option(
+    road: str | None = Option(
         None, help="With --suite, the label of one of its roads; the default is its only one."
     ),
-    suite: Path | None = typer.Option(
+    suite: Path | None = Option(
         None, help="Suite whose scene and traffic models to use: a YAML file or a name."
     ),
-    seed: int | None = typer.Option(
+    seed: int | None = Option(
         None,
         min=0,
         max=2**64 - 1,
         help="Seed of the episode; the default is 0, or the suite's first one.",
     ),
-    text: bool = typer.Option(
-        False, "--text", help="Draw in the terminal even if there is a display."
-    ),
+    text: bool = Option(False, "--text", help="Draw in the terminal even if there is a display."),
 ) -> None:
     """Watch an agent drive an episode, in a window or in the terminal.
 

@@ -9,25 +9,19 @@ from PIL import Image
 
 from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
-from charms_bench.errors import InputError
-from charms_bench.foundation.files import write_atomically
+from charms_bench.foundation.files import check_ending, write_atomically
 from charms_bench.world.picture import AHEAD_M, BRAKE, INDICATOR, WRECK, Moment, picture
 from charms_bench.world.tracks import Motion
 
+ENDING = ".gif"
 HOLD_S = 2.0
 COLOURS = 96
 """Size of the GIF's palette, which limits the size of the file."""
 
 
-def check_animation(path: Path) -> None:
-    """Raises an `InputError` if a file name does not end in `.gif`."""
-    if path.suffix.lower() != ".gif":
-        raise InputError(f"{path}: expected a name that ends in .gif")
-
-
 def animate(replay: Replay, path: Path, caption: str = "") -> None:
     """Writes an episode as a GIF; see `Replay.animate`."""
-    check_animation(path)
+    check_ending(path, ENDING)
     frames = range(len(replay.t_s))
     view = ego_view(replay)
 

@@ -111,15 +111,11 @@ def avoidability(
 ) -> list[Avoidability]:
     """How the collisions of some episodes of a cell could have been avoided, in their order.
 
-    Args:
-        episodes: Seeds of episodes that end with a collision of the ego.
-        budget: The most decisions that the search may simulate for one collision.
-        agents: The agents that are tried; by default, all that are installed and usable.
-        tell: Called with the number of collisions done since the last call.
-
-    Raises:
-        InputError: An episode does not end with a collision of the ego.
-        CharmsBenchError: As for `replay.replay`.
+    The episodes are given by their seeds, and `budget` is the most decisions that the search may
+    simulate for one collision. Of the `agents`, by default all that are installed and usable, it is
+    tried who avoids it. `tell` is called with the number of collisions done since the last call.
+    Raises an `InputError` if an episode does not end with a collision of the ego, and what `replay`
+    raises.
     """
     tried = _usable(cell.cell.scene) if agents is None else tuple(agents)
     found: list[Avoidability] = []

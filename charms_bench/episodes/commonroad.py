@@ -14,14 +14,14 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from charms_bench.episodes.replay import Replay
-from charms_bench.errors import InputError
-from charms_bench.foundation.files import write_bytes
+from charms_bench.foundation.files import check_ending, write_bytes
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.plan import Plan
 from charms_bench.world.road import position, width_at
 from charms_bench.world.road_network import NO_LINE, SOLID, SOLID_LINE, STRIPED, Network
 from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
+ENDING = ".xml"
 FIRST_VEHICLE = 1001
 """Identifier of the obstacle that is vehicle 0; lanelets are counted from 1."""
 FIRST_LATER = 500_000
@@ -43,15 +43,9 @@ TOUCHING_M = 0.5
 _MARKINGS = {NO_LINE: "no_marking", STRIPED: "dashed", SOLID: "solid", SOLID_LINE: "solid"}
 
 
-def check_commonroad(path: Path) -> None:
-    """Raises an `InputError` if a file name does not end in `.xml`."""
-    if path.suffix != ".xml":
-        raise InputError(f"{path}: expected the name of a CommonRoad scenario, ending in .xml")
-
-
 def write_commonroad(replay: Replay, path: Path) -> None:
     """Writes an episode, one time step per simulation step; see `ShownReplay.write_commonroad`."""
-    check_commonroad(path)
+    check_ending(path, ENDING)
     root = Element(
         "commonRoad",
         commonRoadVersion="2020a",

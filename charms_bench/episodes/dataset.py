@@ -40,11 +40,8 @@ def write_dataset(
     """Writes the first `count` episodes of a cell into a new folder, and returns the folder.
 
     By default, all episodes are written into a folder in the run folder. `tell` is called with the
-    number of episodes that have been written.
-
-    Raises:
-        InputError: The folder exists, or the format does not fit.
-        RunFolderError: An episode no longer runs as recorded, or the folder cannot be written to.
+    number of episodes that have been written. Raises an `InputError` if the folder exists or the
+    format does not fit, and what `replay` raises.
     """
     if kind not in FORMATS:
         raise InputError(f"no format '{kind}'. {suggestion(kind, dict.fromkeys(FORMATS))}")

@@ -62,10 +62,8 @@ def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> li
     """Returns at most `top` of the most critical episodes, ranked; ties go by cell, then by seed.
 
     If a `kind` is given, they are of this kind, and `what` describes that event. An abandoned lane
-    change counts if another vehicle took the gap (`recording.lane_changes`).
-
-    Raises:
-        CharmsBenchError: As for `replay.replay`.
+    change counts if another vehicle took the gap (`recording.lane_changes`). Raises what `replay`
+    does.
     """
     measured = ranked(cells).drop("kind")
     if kind is not None:

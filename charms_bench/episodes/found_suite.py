@@ -74,8 +74,7 @@ def _roads(search: Search, document: Document, suite: Suite) -> dict[str, Any]:
 def found_in(folder: Path) -> tuple[Mapping[str, float], ...]:
     """The failures in the suite that a search has written into its folder; empty without one.
 
-    Raises:
-        CharmsBenchError: The suite cannot be used.
+    Raises a `CharmsBenchError` if the suite cannot be used.
     """
     path = folder / FOUND
     if not path.exists():

@@ -88,9 +88,7 @@ def write_minari(
     """Writes a dataset, which Minari will load by this name, into an empty folder.
 
     The ego is one that `check_policy` accepts. `tell` is told how many episodes have been written.
-
-    Raises:
-        RunFolderError: An episode no longer runs as it was recorded.
+    Raises a `RunFolderError` if an episode no longer runs as it was recorded.
     """
     import minari
     from minari.dataset.minari_storage import MinariStorage

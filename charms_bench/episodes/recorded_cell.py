@@ -92,8 +92,7 @@ class RecordedCell:
             is_ego_outside: Whether the actions given to `Simulation.step` drive the ego. They are
                 its agent's meta-actions, or if it has none, highway-env's.
 
-        Raises:
-            InputError: A guest cannot drive on the road of the cell.
+        Raises an `InputError` if a guest cannot drive on the road of the cell.
         """
         cell, networks, traffic = self.cell, self.networks, self.cell.traffic.traffic.make()
         agents = {driver.key: driver.make(networks) for driver in self.drivers}

@@ -129,11 +129,8 @@ def replay(cell: RecordedCell, episodes: Sequence[int]) -> list[Replay]:
 
     All are kept in memory. If rounding decides between two actions, the choice can depend on the
     size of an agent's batch. So an episode that differs from the run is simulated once more, among
-    the episodes of its shard.
-
-    Raises:
-        RunFolderError: The run has no such episode, or the new rows differ from those of the run.
-        CharmsBenchError: An agent cannot be made.
+    the episodes of its shard. Raises a `RunFolderError` if the run has no such episode or the new
+    rows differ from those of the run, and a `CharmsBenchError` if an agent cannot be made.
     """
     stored = cell.steps(episodes)
     replays = simulate(cell, episodes)

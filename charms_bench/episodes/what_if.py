@@ -81,12 +81,8 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
     """Simulates an episode again, with another agent driving a vehicle from a decision on.
 
     `step` is the agent's first decision, from 1, and `vehicle` the index in the order of spawning;
-    None is the ego.
-
-    Raises:
-        InputError: There is no such decision, agent or vehicle, or the vehicle has crashed before
-            or is not there then.
-        RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
+    None is the ego. Raises an `InputError` if there is no such decision, agent or vehicle, or the
+    vehicle has crashed before or is not there then, and what `replay` raises.
     """
     (recorded,) = replay(cell, [episode])
     decisions, vehicles = recorded.steps.height, len(recorded.agents)

@@ -31,6 +31,12 @@ def is_same_file(one: Path, other: Path) -> bool:
         return False
 
 
+def check_ending(path: Path, *endings: str) -> None:
+    """Raises an `InputError` for a file name with another ending than these, in small letters."""
+    if path.suffix.lower() not in endings:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(endings)}")
+
+
 PARTIAL = r"\..+\.[0-9]+\.partial"
 """The name of a file that is being written; see `write_atomically`."""
 

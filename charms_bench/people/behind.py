@@ -52,8 +52,7 @@ def speeds_of(profile: Profile) -> tuple[float, float]:
 def fitting(parts: Sequence[Trip], profile: Profile) -> list[Trip]:
     """The situations whose recorded speeds the profile allows.
 
-    Raises:
-        DataError: They are of fewer than `FEWEST_DRIVERS` drivers.
+    Raises a `DataError` if they are of fewer than `FEWEST_DRIVERS` drivers.
     """
     low, high = speeds_of(profile)
     found = [

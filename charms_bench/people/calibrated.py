@@ -129,10 +129,8 @@ class Calibration:
 def calibrate(trips: Sequence[Trip], tell: Callable[[str], None]) -> Calibration:
     """Fits the models to one half of the drivers, and predicts the other half.
 
-    `tell` is told what comes next, which takes minutes.
-
-    Raises:
-        DataError: There are too few drivers.
+    `tell` is told what comes next, which takes minutes. Raises a `DataError` if there are too few
+    drivers.
     """
     fitted, held_out = split(trips)
     drivers = len(of_drivers(fitted))

@@ -47,8 +47,7 @@ class Followers:
 def followers(recordings: Iterable[Recording]) -> Followers:
     """The followers in recordings, trucks and both carriageways included.
 
-    Raises:
-        DataError: The frame rate is below the decision rate.
+    Raises a `DataError` if the frame rate is below the decision rate.
     """
     speeds, headways, vehicles, lane_changes = [], [], 0, 0
     for number, recording in enumerate(recordings):

@@ -94,8 +94,7 @@ class Population(Artefact):
 def read_population(name: str) -> Population:
     """A population of the package by its name, or the one in a JSON file.
 
-    Raises:
-        DataError: There is no such population, or the file is not one.
+    Raises a `DataError` if there is no such population, or the file is not one.
     """
     path = Path(name)
     if path.suffix != ".json":

@@ -132,8 +132,7 @@ def _read(path: Path) -> Reference:
 def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Reference]:
     """The references of a suite; relative paths of recordings start at `folder`.
 
-    Raises:
-        DataError: The recordings cannot be used.
+    Raises a `DataError` if the recordings cannot be used.
     """
     return [
         from_recordings(folder / spec.recordings, name=spec.title)
@@ -146,10 +145,8 @@ def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Refere
 def from_recordings(folder: Path, **fields: str) -> Reference:
     """A reference made from a folder of recordings in highD's format.
 
-    By default, its `fields` name, origin and terms are derived from the folder's name.
-
-    Raises:
-        DataError: The recordings cannot be used.
+    By default, its `fields` name, origin and terms are derived from the folder's name. Raises a
+    `DataError` if the recordings cannot be used.
     """
     found = followers(read_folder(folder))
     described = {

@@ -45,9 +45,8 @@ def situations(
             within the observation's range.
         leader_distance: Distance to a leader within 50 m in the lane, centre to centre, m, or null.
 
-    Raises:
-        DataError: The frame rate is below the decision rate, or there are too many vehicles at
-            one time.
+    Raises a `DataError` if the frame rate is below the decision rate, or there are too many
+    vehicles at one time.
     """
     rows = recording.tracks.filter(at_decisions(recording, decision_hz))
     rows = rows.sort("direction", "frame", "x", "vehicle")
@@ -73,8 +72,7 @@ def situations(
 def at_decisions(recording: Recording, decision_hz: int) -> Bools:
     """Which rows of a recording are at decisions; see `situations`.
 
-    Raises:
-        DataError: The frame rate is below the decision rate.
+    Raises a `DataError` if the frame rate is below the decision rate.
     """
     if recording.frame_rate_hz < decision_hz:
         raise DataError(

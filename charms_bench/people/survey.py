@@ -95,10 +95,8 @@ def survey(
 
     `note` is called with the reason why a sampler can learn nothing.
 
-    Only one recording is in memory at a time; `tell` is called with 1 after each.
-
-    Raises:
-        DataError: The recordings cannot be used.
+    Only one recording is in memory at a time; `tell` is called with 1 after each. Raises a
+    `DataError` if the recordings cannot be used.
     """
     recordings, decisions = [], []
     for trio in find_trios(folder):

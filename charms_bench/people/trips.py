@@ -60,8 +60,7 @@ Driver = Callable[[Trip, np.random.Generator], tuple[Floats, Floats]]
 def read_trips(path: Path) -> list[Trip]:
     """The trips in a folder in highD's format, or in the table of I-24 or of I-75.
 
-    Raises:
-        DataError: The recordings cannot be read, or contain no trip.
+    Raises a `DataError` if the recordings cannot be read, or contain no trip.
     """
     if path.suffix == ".parquet":
         rows = _table_rows(path)

@@ -64,9 +64,7 @@ class Call(Protocol):
         """Asks about some of the scenes or vehicles of the call, in the order of `rows`.
 
         Answers may differ as far as rounding explains it, unless they must be `exactly` the same.
-
-        Raises:
-            BrokenWordError: An answer differs; it says `how` the plugin was asked.
+        Raises a `BrokenWordError` if an answer differs; it says `how` the plugin was asked.
         """
 
 
@@ -184,10 +182,8 @@ def called(
 ) -> SceneCall:
     """Calls a plugin, which must change nothing of what it is shown.
 
-    If it `writes`, it may change the arrays `WRITABLE` of its vehicles.
-
-    Raises:
-        BrokenWordError: It has changed something else.
+    If it `writes`, it may change the arrays `WRITABLE` of its vehicles. Raises a `BrokenWordError`
+    if it has changed something else.
     """
     before, asked = copied(scene), tuple(map(np.copy, vehicles))
     said = tuple(map(np.array, ask(plugin, scene, vehicles)))

@@ -66,9 +66,8 @@ def kept_of(seen: Observations, earlier: Floats) -> Floats:
 def decide(policy: Policy, asked: Asked) -> tuple[Actions, Floats]:
     """The policy's actions, and what is kept for its next decision (M, `kept_width`).
 
-    Raises:
-        BrokenWordError: The policy declares memory, and what it returns as memory is missing, not
-            finite or of another shape.
+    Raises a `BrokenWordError` if the policy declares memory, and what it returns as memory is
+    missing, not finite or of another shape.
     """
     question, earlier = question_of(policy, asked), asked.kept[:, policy.memory_width :]
     if earlier.shape[1]:
@@ -120,8 +119,7 @@ def part_of(question: Question, some: Ints) -> Question:
 def check_declared(agent: Agent) -> None:
     """Checks what an agent declares of itself, but for its rates and ranges of parameters.
 
-    Raises:
-        InputError: An attribute has a value that is not possible.
+    Raises an `InputError` if an attribute has a value that is not possible.
     """
     least = {"memory_width": 0}
     if isinstance(agent, Policy):
@@ -151,8 +149,7 @@ def check_declared(agent: Agent) -> None:
 def check_road(policy: Policy, has_name: bool) -> None:
     """Checks that a policy with the observation `highway_env` is on a road with a name.
 
-    Raises:
-        InputError: It is on the straight road.
+    Raises an `InputError` if it is on the straight road.
     """
     if isinstance(observation_of(policy.observation), HighwayEnv) and not has_name:
         raise InputError(STRAIGHT)

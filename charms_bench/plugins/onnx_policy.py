@@ -97,10 +97,9 @@ class OnnxPolicy(Policy):
         decision_hz: Decisions per second; by default the rate in the file's metadata, or 3.
         style: The style in which it drives; by default, the first in the file.
 
-    Raises:
-        ModelError: The file is missing, too large or broken, its inputs or outputs have other
-            shapes, it has operators that are not arithmetic, it takes too long, or does not have
-            the style.
+    Raises a `ModelError` if the file is missing, too large or broken, its inputs or outputs have
+    other shapes, it has operators that are not arithmetic, it takes too long, or does not have the
+    style.
     """
 
     is_assumed: bool
@@ -185,10 +184,7 @@ class OnnxPolicy(Policy):
         return np.asarray(np.argmax(values, axis=1))
 
     def values_and_memory(
-        self,
-        observations: Observations,
-        memory: Floats | None = None,
-        noise: Floats | None = None,
+        self, observations: Observations, memory: Floats | None = None, noise: Floats | None = None
     ) -> tuple[NDArray[np.float32], Floats]:
         """The network's output, (M, A) or (M, 2), and the memory (M, memory) that it leaves.
 
@@ -197,8 +193,7 @@ class OnnxPolicy(Policy):
             memory: (M, memory), by default zeros, as at the beginning of an episode.
             noise: (M, noise), in [0, 1); by default zeros.
 
-        Raises:
-            ModelError: It cannot be computed, has another shape, or contains NaN.
+        Raises a `ModelError` if it cannot be computed, has another shape, or contains NaN.
         """
         count = len(observations)
         memory = np.zeros((count, self.memory_width)) if memory is None else memory

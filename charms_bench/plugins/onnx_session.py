@@ -200,9 +200,8 @@ def compute(
         inputs: (M, ...) each; M is at most `ROWS_WITH_MEMORY` if it has states.
         memory: (M, memory).
 
-    Raises:
-        ModelError: It cannot be computed, has another shape, contains NaN, or the memory is not
-            finite; without the file.
+    Raises a `ModelError` if it cannot be computed, has another shape, contains NaN, or the memory
+    is not finite; without the file.
     """
     rows = len(memory)
     if roles.states:

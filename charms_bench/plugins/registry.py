@@ -191,11 +191,6 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
     return OneAgent(name)
 
 
-def make_event(name: str, options: Mapping[str, Any] | None = None) -> Event:
-    """The event of that name, made with `options`; raises a `RegistryError` like `make_agent`."""
-    return cast(Event, _make(find(EVENTS, name), options, Event))
-
-
 def make(group: str, name: str, options: Mapping[str, Any] | None, kind: type[T]) -> T:
     """As `make_agent`, of any group; what is made is of the class `kind`."""
     return cast(T, _make(find(group, name), options, kind))

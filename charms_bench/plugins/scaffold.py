@@ -27,8 +27,8 @@ _OF_PYTEST = ("tests", "conftest")
 def new_agent(name: str, folder: Path, kind: Kind = "policy") -> tuple[Path, ...]:
     """Writes the distribution of a plugin that works into a new folder; returns its files.
 
-    Raises:
-        InputError: The name is invalid or taken, or the folder is not empty or cannot be written.
+    Raises an `InputError` if the name is invalid or taken, or the folder is not empty or cannot be
+    written.
     """
     _check_name(name)
     is_traffic, title = kind == "traffic", "".join(map(str.capitalize, name.split("_")))

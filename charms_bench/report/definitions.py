@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
+import polars as pl
+
 from charms_bench.errors import CharmsBenchError
 from charms_bench.metrics import MetricSet
 from charms_bench.metrics.labels import label_of
@@ -18,6 +20,20 @@ INTERVALS: Mapping[Interval, str] = {
     "wilson": "Wilson's score interval of a proportion of episodes",
     "garwood": "Garwood's exact interval of a Poisson rate",
 }
+LEFT_OUT = "scenarios_left_out"
+"""What long frames call the proportion of concrete scenarios that their numbers leave out; see
+`engine.pile_ups`."""
+
+
+def said_of_left_out(frame: pl.DataFrame, column: str) -> str:
+    """The sentence for a long frame, whose `column` has the names; empty if nothing is left out."""
+    rows = frame.filter(pl.col(column) == LEFT_OUT, pl.col("value") > 0)
+    found = dict.fromkeys(rows.select("traffic", "value", "n").iter_rows())
+    counts = ", ".join(f"{round(value * n):,} of {n:,} of {traffic}" for traffic, value, n in found)
+    return counts and (
+        f"Left out are the concrete scenarios in which prescribed vehicles collide with one "
+        f"another: {counts}."
+    )
 
 
 def columns_of(metric_set: MetricSet) -> dict[str, Column]:

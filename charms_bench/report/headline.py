@@ -10,7 +10,7 @@ In every other suite, it is the table of the suite's first columns.
 from dataclasses import replace
 from itertools import chain
 
-from charms_bench.report import left_out
+from charms_bench.report.definitions import said_of_left_out
 from charms_bench.report.number import Number
 from charms_bench.report.stored import RunTables
 from charms_bench.report.suite_table import MATRICES, matrices, one_per_metric, printed, time_over
@@ -36,7 +36,7 @@ def headline(suite: Suite, tables: RunTables) -> Table:
         shown = [by_metric[name] for name in (*suite.columns, *MATRICES) if name in by_metric]
         found = shown[0] if shown else _columns(suite, tables.metrics)
     frame = tables.metrics.frame()
-    said = left_out.said_of(frame, "metric"), time_over(frame)
+    said = said_of_left_out(frame, "metric"), time_over(frame)
     return replace(found, note=" ".join(filter(None, (found.note, *said))))
 
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from charms_bench.metrics.collisions import ENDED_BADLY
 from charms_bench.metrics.rows import join_rows
-from charms_bench.report import left_out
-from charms_bench.report.definitions import INTERVALS
+from charms_bench.report.definitions import INTERVALS, LEFT_OUT, said_of_left_out
 from charms_bench.report.table import ESTIMATE, Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
@@ -96,7 +95,7 @@ def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
             shares.append((name, count / each.size, *wilson(count, each.size), each.size))
         braking = (BRAKING, strongest_braking(suite, cell), None, None, cell.size)
         every = cell.size + cell.left_out
-        left = (left_out.NAME, cell.left_out / every, None, None, every)
+        left = (LEFT_OUT, cell.left_out / every, None, None, every)
         numbers = (*shares[:2], braking, *shares[2:], left)
         records += [(*labels, *each) for each in numbers]
     schema = long_schema(suite.with_road(KEYS), LONG)
@@ -113,7 +112,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         "not_preventable": f"proportion of episodes in which it and {references} do so",
         BRAKING: "largest deceleration of the ego in any episode: change of speed between two "
         "decisions, divided by their interval",
-        left_out.NAME: "proportion of concrete scenarios that nothing else counts, because "
+        LEFT_OUT: "proportion of concrete scenarios that nothing else counts, because "
         "prescribed vehicles collide with one another in them",
     }
     for name in suite.preventable_by:
@@ -126,7 +125,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         known = Column(name, "", shares.get(name, ""), "episodes", form=".1%", label=label)
         if name == BRAKING:
             return replace(known, unit="m/s²", form=".1f")
-        if name == left_out.NAME:
+        if name == LEFT_OUT:
             return replace(known, counted="concrete scenarios")
         return replace(known, interval=INTERVALS["wilson"])
 
@@ -138,5 +137,5 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         LONG,
         column,
         note=f"A collision is preventable if {references} {'avoid' if several else 'avoids'} it in "
-        f"the same episode. {left_out.said_of(frame, 'share')}".rstrip(),
+        f"the same episode. {said_of_left_out(frame, 'share')}".rstrip(),
     )

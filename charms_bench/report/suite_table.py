@@ -6,8 +6,7 @@ from dataclasses import astuple, replace
 import polars as pl
 
 from charms_bench.metrics import PAPER, MetricSet
-from charms_bench.report import left_out
-from charms_bench.report.definitions import columns_of, installed_column
+from charms_bench.report.definitions import columns_of, installed_column, said_of_left_out
 from charms_bench.report.number import Number
 from charms_bench.report.table import ESTIMATE, Row, Table, long_frame
 from charms_bench.runs.cells import CellRows, title_of
@@ -59,7 +58,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
 
     Without metric sets, the definitions of its columns are those of the installed sets.
     """
-    notes = (suite.note, left_out.said_of(frame, "metric"), first_speeds(suite), time_over(frame))
+    notes = (suite.note, said_of_left_out(frame, "metric"), first_speeds(suite), time_over(frame))
     described = [each for found in metric_sets for each in columns_of(found).values()]
     columns = {(each.group, each.name): each for each in described}
     return Table.from_frame(

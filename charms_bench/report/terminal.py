@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from io import StringIO
 from itertools import chain
@@ -38,17 +39,16 @@ def compact(table: Table, width: int = 100) -> Group:
     Columns that do not fit are named below.
     """
     widths = fitting(table, width)
-    shown = table.take(range(len(widths)))
+    shown = replace(table.take(range(len(widths))), title="")
     more = "; ".join(column.heading for column in table.columns[len(widths) :])
-    wrapped = _label_width(table) > width // 2
-    found = _grid(replace(shown, title=""), stacked=True, wrapped=wrapped, widths=widths)
+    found = _grid(shown, True, width, _room(table, width // 2, width - COLUMN_WIDTH), widths)
     below = map(Text, filter(None, (table.note, more and f"More columns: {more}.")))
     return Group(*[Text(table.title)] * bool(table.title), found, *below)
 
 
 def fitting(table: Table, width: int) -> list[int]:
     """The characters of each of the first columns, as many as `compact` shows."""
-    left, widths = width - min(_label_width(table), width // 2) - 4, []
+    left, widths = width - _room(table, width // 2, width - COLUMN_WIDTH) - 4, []
     texts = write_cells(table)
     for i, column in enumerate(table.columns[:MOST]):
         cells = (_stacked(row[i], table.reference).plain for row in texts)
@@ -61,10 +61,21 @@ def fitting(table: Table, width: int) -> list[int]:
     return widths
 
 
-def _label_width(table: Table) -> int:
-    """The characters that the labels of a table need side by side."""
+def _room(table: Table, usual: int, most: int) -> int:
+    """The characters for labels: those that they need, up to the usual ones.
+
+    At `most` so many are given so that no word of a label breaks.
+    """
+    whole, words = _label_widths(table)
+    return min(whole, max(usual, words if words <= most else 0))
+
+
+def _label_widths(table: Table) -> tuple[int, int]:
+    """The characters that labels need side by side on one line, and those of their words."""
     by_row = (map(key_label_of, table.keys), *(row.labels for row in table.rows))
-    return sum(max(map(len, key)) + 3 for key in zip(*by_row, strict=True)) - 3
+    keys = [list(key) for key in zip(*by_row, strict=True)]
+    apart = 3 * len(keys) - 3
+    return sum(max(map(len, key)) for key in keys) + apart, sum(map(_longest_word, keys)) + apart
 
 
 def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
@@ -74,12 +85,11 @@ def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
     has a column of its own, and all columns stand in one block. Labels that take more than half of
     the width, or a third of it if the table is not stacked, are wrapped.
     """
-    by_row = (row.labels for row in table.rows)
-    labels = sum(max(map(len, each)) for each in zip(*by_row, strict=True))
-    room = min(labels, width // 2 if stacked else width // 3)
+    most = width - COLUMN_WIDTH - 6 if stacked else 0
+    room = _room(table, width // 2 if stacked else width // 3, most)
     side_by_side = max(1, (width - room - 6) // COLUMN_WIDTH) if stacked else len(table.columns)
     found = [
-        _grid(block, stacked, wrapped=labels > room)
+        _grid(block, stacked, width, room)
         for part in table.parts()
         for block in part.blocks(side_by_side)
     ]
@@ -91,13 +101,13 @@ def beginning(table: Table, width: int = 100) -> str:
     shown = _first_rows(table.without_constant_keys())
     if len({column.group for column in table.columns}) > 1:
         shown = shown.named(*(f"{each.name} {each.group}".strip() for each in table.columns))
-    shown = _first_columns(shown, width)
+    shown = shown.take(range(len(fitting(shown, width))))
     first = dict(zip(table.keys, table.rows[0].labels, strict=True)) if table.rows else {}
     same = ", ".join(f"{key} {label}" for key, label in first.items() if key not in shown.keys)
     title = f"{table.title} ({same})" if same else table.title
     console = Console(width=width, file=StringIO(), color_system=None, emoji=False)
     with console.capture() as captured:
-        console.print(Text(title), _grid(replace(shown, title=""), stacked=True, wrapped=False))
+        console.print(Text(title), _grid(replace(shown, title=""), stacked=True))
     left = [
         f"{of - among} more {what}{'s' * (of - among > 1)}"
         for what, among, of in (
@@ -119,37 +129,42 @@ def _first_rows(table: Table) -> Table:
     return replace(table, rows=table.rows[: LINES // lines])
 
 
-def _first_columns(table: Table, width: int) -> Table:
-    """The table with as many of its columns as stand side by side."""
-    console, count = Console(width=10 * width), len(table.columns)
-    for shown in (table.take(range(end)) for end in range(count, 1, -1)):
-        if console.measure(_grid(shown, stacked=True, wrapped=False)).maximum <= width:
-            return shown
-    return table.take(range(min(count, 1)))
-
-
 def _grid(
-    table: Table, stacked: bool, wrapped: bool, widths: Sequence[int] | None = None
+    table: Table,
+    stacked: bool,
+    width: float = math.inf,
+    room: float = math.inf,
+    widths: Sequence[int] | None = None,
 ) -> RichTable:
+    """The columns of a table side by side; no word breaks if a `width` has room for all of them.
+
+    Labels that need more than the `room` for them are wrapped.
+    """
     title, texts = Text(table.title) if table.title else None, write_cells(table)
     made = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    if not stacked:
-        made.padding = (0, 1, 0, 0)
-    has_interval = [
-        not stacked and any(row[i].low for row in texts) for i in range(len(table.columns))
+    made.padding = (0, 1) if stacked else (0, 1, 0, 0)
+    count, headings = len(table.columns), [column.title for column in table.columns]
+    has_interval = [not stacked and any(row[i].low for row in texts) for i in range(count)]
+    is_text = [any(isinstance(row.cells[i], str) for row in table.rows) for i in range(count)]
+    labels = [key_label_of(key) for key in table.keys]
+    words = [[label, *(row.labels[k] for row in table.rows)] for k, label in enumerate(labels)]
+    words += [
+        [heading, *(row[i].value for row in texts if is_text[i])]
+        for i, heading in enumerate(headings)
     ]
-    for key in table.keys:
-        label = key_label_of(key)
-        least = _longest_word(label)
-        made.add_column(label, no_wrap=not wrapped, overflow="fold", min_width=least)
-    for i, column in enumerate(table.columns):
-        is_text = any(isinstance(row.cells[i], str) for row in table.rows)
+    least = list(map(_longest_word, words))
+    if sum(least) + 3 * len(least) + COLUMN_WIDTH * sum(has_interval) > width:
+        least = [_longest_word([heading]) for heading in (*labels, *headings)]
+    wraps = _label_widths(table)[0] > room
+    for label, narrowest in zip(labels, least, strict=False):
+        made.add_column(label, no_wrap=not wraps, overflow="fold", min_width=narrowest)
+    for i, heading in enumerate(headings):
         made.add_column(
-            column.title,
-            justify="left" if is_text else "right",
+            heading,
+            justify="left" if is_text[i] else "right",
             overflow="fold",
             width=None if widths is None else widths[i],
-            min_width=_longest_word(column.title),
+            min_width=least[len(labels) + i],
         )
         if has_interval[i]:
             made.add_column("95 % interval", justify="right")
@@ -163,9 +178,9 @@ def _grid(
     return made
 
 
-def _longest_word(heading: str) -> int:
-    """The characters that a heading needs so that no word of it breaks."""
-    return max(map(len, heading.split()), default=0)
+def _longest_word(texts: Iterable[str]) -> int:
+    """The characters that texts need so that no word of them breaks."""
+    return max((len(word) for text in texts for word in text.split()), default=0)
 
 
 def _value(cell: Written) -> str:
@@ -194,7 +209,7 @@ def drawn(table: Table, width: int = 100) -> Group:
         parts += [Text(f"\n{part.title}", style="bold")] if part.title else []
         parts.append(_drawn(part, width))
     numbers = [number for row in table.rows for number in row.numbers]
-    *outer, inner = table.keys
+    *outer, inner = map(key_label_of, table.keys)
     legend = [f"{inner} indented under {' '.join(outer)}"] if outer else []
     if any(number.low is not None for number in numbers):
         legend.append(f"{INTERVAL * 2}{VALUE}{INTERVAL * 2} value in its 95 % interval")

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import RunFolderError
+from charms_bench.foundation.progress import Tell
 from charms_bench.foundation.words import counted
 from charms_bench.runs.audit_files import audit_files, audit_networks
 from charms_bench.runs.audit_finding import Finding, Verdict
@@ -22,7 +23,7 @@ from charms_bench.runs.resumable_folder import KINDS, RunFolder
 from charms_bench.runs.runner import SHARD_LIMIT_S, on_this_machine
 from charms_bench.runs.shard import ShardFiles, simulate
 from charms_bench.runs.shards import Shard, places_of
-from charms_bench.runs.suite import Cell, Suite
+from charms_bench.runs.suite import Suite
 
 
 def audit_run(
@@ -31,12 +32,12 @@ def audit_run(
     shards: int | None,
     seed: int | None,
     workers: int | None,
-    progress: Callable[[Cell, int], None],
+    tell: Tell,
     notice: Callable[[str], None],
 ) -> Iterator[Finding]:
     """Yields what is found about the software, files, networks and rows of an evaluation.
 
-    `shards`, `seed` and `workers` are those of `charms_bench.audit`. `progress` is called for every
+    `shards`, `seed` and `workers` are those of `charms_bench.audit`. `tell` is called for every
     shard that has been simulated, and `notice` with a message about a problem that was solved. An
     error is raised if the folder holds no run, or a shard cannot be simulated.
     """
@@ -63,7 +64,7 @@ def audit_run(
             found = list(_differing_rows(folder, shard, files))
             wrong += bool(found)
             yield from found
-            progress(cells[shard.cell].cell, shard.episodes)
+            tell(cells[shard.cell].cell.ego.title, 1)
     whole = len(places_of(suite))
     what = (
         f"{wrong} of {counted(count, 'shard')} that were simulated again differ"

@@ -64,11 +64,7 @@ def audit_files(
 
 
 def _shards(
-    folder: RunFolder,
-    suite: Suite,
-    names: Collection[str],
-    cells: Sequence[Planned],
-    is_same: bool,
+    folder: RunFolder, suite: Suite, names: Collection[str], cells: Sequence[Planned], is_same: bool
 ) -> Iterator[Finding]:
     """Whether every shard of the suite is there once, with the right key and with its episodes."""
     places, drivers = places_of(suite), folder.drivers(suite)

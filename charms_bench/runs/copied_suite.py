@@ -10,8 +10,8 @@ from charms_bench.runs.packaged import packaged_suites
 def copy_suite(name: str) -> Path:
     """Copies a packaged suite, with the road files that it names, to the current folder.
 
-    Raises:
-        InputError: There is no such suite, or a file is there already or cannot be written.
+    Raises an `InputError` if there is no such suite, or a file is there already or cannot be
+    written.
     """
     found = packaged_suites()
     if name not in found:

@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 
 from charms_bench.engine.draws import count_of
 from charms_bench.errors import CharmsBenchError, InputError
+from charms_bench.foundation.progress import Tell
 from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.checked_result import read_result, write_result
 from charms_bench.runs.manifest import opened_for_suite
@@ -67,13 +68,13 @@ def run_rare(
     runs: int,
     samples: int,
     workers: int | None,
-    progress: Callable[[Cell, int], None],
+    tell: Tell,
     notice: Callable[[str], None],
 ) -> tuple[list[RareCell], dict[int, CharmsBenchError]]:
     """Estimates the probability of an event in every cell; see `charms_bench.rare`.
 
     Returns the finished cells, and the errors of those whose agents fail, by their indices.
-    `progress` is called for every finished run, first for those already in the folder, and `notice`
+    `tell` is called for every finished run, first for those already in the folder, and `notice`
     with a message about what went wrong and was put right. If a `CharmsBenchError` is raised, the
     folder keeps the runs finished so far.
     """
@@ -90,7 +91,7 @@ def run_rare(
         kept = {task: read_result(_file(output, task), _SUBSET_RUN) for task in tasks}
         found = {task.place: made for task, made in kept.items() if made is not None}
         for cell, _ in found:
-            progress(suite.cells[cell], 1)
+            tell(suite.cells[cell].ego.title, 1)
         missing = [task for task, made in kept.items() if made is None]
         fail = note_failures(suite, failed, notice, missing)
         running = on_this_machine(estimate, workers, missing, RUN_LIMIT_S, notice, fail)
@@ -98,7 +99,7 @@ def run_rare(
             for task, made in running:
                 write_result(_file(output, task), asdict(made))
                 found[task.place] = made
-                progress(suite.cells[task.cell], 1)
+                tell(suite.cells[task.cell].ego.title, 1)
         return found
 
     ours = {"format": FORMAT, "event": event, "samples": samples}

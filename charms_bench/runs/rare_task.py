@@ -16,7 +16,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, RunFolderError
 from charms_bench.plugins.consistency import CheckedEvent
 from charms_bench.plugins.event import Event
-from charms_bench.plugins.registry import EVENTS, find, make_event
+from charms_bench.plugins.registry import EVENTS, find, make
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.document import name_and_options
@@ -59,7 +59,7 @@ class RareTask(CellTask):
 
 def event_of(text: str) -> Event:
     """The event that a text like `crash` or `ttc:below_s=1.5` asks for; raises an `InputError`."""
-    return make_event(*name_and_options(text, "event"))
+    return make(EVENTS, *name_and_options(text, "event"), Event)  # type: ignore[type-abstract]
 
 
 def software_of(

@@ -10,6 +10,7 @@ from shlex import quote
 from typing import TypeVar
 
 from charms_bench.errors import CharmsBenchError, RunFolderError, SuiteError
+from charms_bench.foundation.progress import Tell
 from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.foundation.words import counted
 from charms_bench.foundation.workers import Failed, in_processes
@@ -40,8 +41,6 @@ LISTED = 10
 SHARD_LIMIT_S = 1800.0
 """Far longer than a shard takes if its agents answer."""
 
-Progress = Callable[[Cell, int], None]
-"""Called for every finished shard with its cell and its number of episodes."""
 Notice = Callable[[str], None]
 """Called with a message about something that went wrong and was put right."""
 SimulateAll = Callable[
@@ -58,7 +57,7 @@ def run(
     suite: Suite,
     output: Path,
     workers: int | None = None,
-    progress: Progress = lambda cell, episodes: None,
+    tell: Tell = lambda ego, episodes: None,
     rows: Path | None = None,
     shard_limit_s: float = SHARD_LIMIT_S,
     notice: Notice = lambda what: None,
@@ -74,12 +73,12 @@ def run(
     An interrupted run in the folder is continued. Other arguments are those of `charms_bench.run`.
 
     Args:
-        progress: Called for every finished shard, first for those already in the folder.
+        tell: Called for every finished shard with its ego and its number of episodes, first for
+            those already in the folder.
         cluster: Simulates the shards elsewhere than on this machine; see `cluster.on_cluster`.
         on_cell: Called for every cell that is finished, with its index and its rows.
 
-    Raises:
-        CharmsBenchError: Something is wrong; the folder keeps the shards finished so far.
+    Raises a `CharmsBenchError` if something is wrong; the folder keeps the shards finished so far.
     """
     folder, failed = RunFolder(output), dict[int, CharmsBenchError]()
     with folder.opened_for(suite):
@@ -109,7 +108,7 @@ def run(
         unfinished = Counter(shard.cell for shard in tasks)
 
         def finish(shard: Shard) -> None:
-            progress(suite.cells[shard.cell], shard.episodes)
+            tell(suite.cells[shard.cell].ego.title, shard.episodes)
             unfinished[shard.cell] -= 1
             if not unfinished[shard.cell]:
                 on_cell(shard.cell, run.cell(shard.cell))

@@ -95,30 +95,22 @@ def bench(
     ]
 
 
-@dataclass(frozen=True)
-class RoadMeasurement:
-    """The speed of one contestant on one thread, in decisions per second."""
-
-    name: str
-    environments: int
-    decisions_per_s: float
-    """Median over the rounds."""
-    low: float
-    high: float
-
-
 def bench_road(
     name: str, seconds: float, rounds: int, progress: Callable[[str], None], environments: int
-) -> list[RoadMeasurement]:
+) -> list[dict[str, Any]]:
     """Measures a vector environment with `environments` environments, and one of highway-env.
 
-    Actions are random, and observations and new episodes are included. For the other arguments,
-    see `bench`.
+    They are on one thread, in decisions per second. Actions are random, and observations and new
+    episodes are included. For the other arguments, see `bench`.
     """
-    ours, theirs = f"charms_bench/{name}", "highway-env"
-    contestants = [(ours, making.road(name, environments)), (theirs, making.highway_env_road(name))]
-    our_rate, their_rate = _rates(contestants, seconds, rounds, progress)
-    return [RoadMeasurement(ours, environments, *our_rate), RoadMeasurement(theirs, 1, *their_rate)]
+    ours = f"charms_bench/{name}", making.road(name, environments)
+    theirs = "highway-env", making.highway_env_road(name)
+    rates = _rates([ours, theirs], seconds, rounds, progress)
+    names = ("name", "environments", "decisions_per_s", "low", "high", "times_highway_env")
+    return [
+        dict(zip(names, (title, count, *rate, rate[0] / rates[1][0]), strict=True))
+        for (title, _), count, rate in zip((ours, theirs), (environments, 1), rates, strict=True)
+    ]
 
 
 def _rates(

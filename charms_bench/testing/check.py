@@ -19,8 +19,7 @@ class Found(NamedTuple):
 def check(name: str) -> str:
     """Tells the parent what was `Found` of each rule; returns a remark, see `remark_on`.
 
-    Raises:
-        CharmsBenchError: There is no such plugin, or it cannot be made.
+    Raises a `CharmsBenchError` if there is no such plugin, or it cannot be made.
     """
     is_traffic = name in plugins(TRAFFIC) and name not in plugins(AGENTS)
     passes = True

@@ -19,11 +19,9 @@ EPISODES = 50
 def remark_on(name: str) -> str:
     """A remark on the decisions of an agent as the ego among IDM+MOBIL, without its subject.
 
-    It is empty if there is nothing to remark, as of a driver model, which takes no actions,
-    and of a policy of highway-env's environments; see `metrics.missing_lanes`.
-
-    Raises:
-        CharmsBenchError: The agent cannot drive.
+    It is empty if there is nothing to remark, as of a driver model, which takes no actions, and of
+    a policy of highway-env's environments; see `metrics.missing_lanes`. Raises a `CharmsBenchError`
+    if the agent cannot drive.
     """
     agent, settings = make_agent(name), SceneSettings()
     if isinstance(agent, DriverModel) or isinstance(observation_of(agent.observation), HighwayEnv):

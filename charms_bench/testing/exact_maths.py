@@ -60,10 +60,8 @@ def use_exact_maths() -> None:
     """Makes highway-env in this process use `charms_bench.foundation.maths`.
 
     Otherwise its bits would be those of NumPy and of the C library, which both choose their
-    functions by the processor.
-
-    Raises:
-        RuntimeError: The process was not started with `worker_environment()`.
+    functions by the processor. Raises a `RuntimeError` if the process was not started with
+    `worker_environment()`.
     """
     if _IS_X86 and os.environ.get(_OPENBLAS) != _CORE_TYPE:
         raise RuntimeError("highway-env needs a process with exact maths")

@@ -27,7 +27,7 @@ from charms_bench.engine.stepping import BeforeMove, Put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import from_numpy, seeded, to_numpy
 from charms_bench.plugins.agent import DriverModel, Policy
-from charms_bench.world.actions import ACTIONS, Actions, MetaAction, follows_profile
+from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, MetaAction, follows_profile
 from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.profile import Profile
 from charms_bench.world.road import Straight
@@ -74,7 +74,7 @@ class HighwayEnvEngine(Shown):
             self._commanded = _with_constants(MDPVehicle, settings.profile)
             self._commanded.DEFAULT_TARGET_SPEEDS = np.array(speeds)
         else:
-            self._commanded = _with_constants(_RelativeMetaVehicle, settings.profile)
+            self._commanded = _with_actions(settings.profile, DEFAULT_ACTIONS)
         self._plain = _with_constants(Vehicle, settings.profile)
         """Spawns vehicles, and is the class of those with continuous actions."""
         self._continuous = list(continuous)
@@ -130,10 +130,11 @@ class HighwayEnvEngine(Shown):
                 for name, value in vehicle.action.items():
                     getattr(self.scene, name)[row, place] = value
                 continue
-            if (own := self._own_actions.get(int(self.drivers[row, place]))) is not None:
+            own = self._own_actions.get(int(self.drivers[row, place]), DEFAULT_ACTIONS)
+            if isinstance(vehicle, _MetaVehicle):
                 vehicle.carry_out(own[action])
             else:
-                vehicle.act(ACTIONS[action])
+                vehicle.act(own[action].name)
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
             self.scene.target_speed[row, place] = vehicle.target_speed
             if hasattr(vehicle, "repeats"):
@@ -312,7 +313,7 @@ class HighwayEnvEngine(Shown):
                 scene.timer_s[row, place] = vehicle.timer
 
 
-class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # highway-env is untyped
+class _MetaVehicle(ControlledVehicle):  # type: ignore[misc]  # highway-env is untyped
     """Obeys meta-actions; lane commands count from the current lane, speeds have a range."""
 
     target_lane_index: tuple[str, str, int]
@@ -320,38 +321,6 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # highway-
     speed: float
     LOWEST_TARGET = HIGHEST_TARGET = 0.0
     FROM_CURRENT_LANE = True
-    STEPS: tuple[float, ...] = ()
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.repeats = 0
-
-    def act(self, action: str | None = None) -> None:
-        if action is not None and len(self.STEPS) > 1:
-            sign = {"FASTER": 1, "SLOWER": -1}.get(action, 0)
-            again = abs(self.repeats) if sign * self.repeats > 0 else 0
-            self.repeats = sign * min(again + 1, len(self.STEPS))
-            self.DELTA_SPEED = self.STEPS[abs(self.repeats) - 1]
-        if action in ("LANE_LEFT", "LANE_RIGHT") and self.FROM_CURRENT_LANE:
-            start = self.target_lane_index
-            self.target_lane_index = self.lane_index
-            super().act(action)
-            if self.target_lane_index == self.lane_index and not self._is_edge(action):
-                self.target_lane_index = start  # out of reach, so the command has no effect
-            return
-        super().act(action)
-        if action in ("FASTER", "SLOWER"):
-            bounds = (self.LOWEST_TARGET, self.HIGHEST_TARGET)
-            self.target_speed = float(np.clip(self.target_speed, *bounds))
-
-    def _is_edge(self, action: str) -> bool:
-        lanes = len(self.road.network.all_side_lanes(self.lane_index))
-        return bool(self.lane_index[2] == (0 if action == "LANE_LEFT" else lanes - 1))
-
-
-class _OwnMetaVehicle(_RelativeMetaVehicle):
-    """Obeys the meta-actions of a policy that has other ones than highway-env's."""
-
     PROFILE: Profile
     MOST = 1
     """Steps up to which repetitions are counted."""
@@ -360,8 +329,21 @@ class _OwnMetaVehicle(_RelativeMetaVehicle):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self.repeats = 0
         if self.SPEEDS.size:
             self.target_speed = self._nearest(self.target_speed, 0)
+
+    def act(self, action: str | None = None) -> None:
+        start = self.target_lane_index
+        if action in ("LANE_LEFT", "LANE_RIGHT") and self.FROM_CURRENT_LANE:
+            self.target_lane_index = self.lane_index
+            super().act(action)
+            lanes = len(self.road.network.all_side_lanes(self.lane_index))
+            is_edge = self.lane_index[2] == (0 if action == "LANE_LEFT" else lanes - 1)
+            if self.target_lane_index == self.lane_index and not is_edge:
+                self.target_lane_index = start  # out of reach, so the command has no effect
+        else:
+            super().act(action)
 
     def carry_out(self, action: MetaAction) -> None:
         """Changes the targets as a meta-action says."""
@@ -451,9 +433,9 @@ def _reference_class(model: DriverModel, profile: Profile) -> Any:
 
 def _with_actions(profile: Profile, actions: tuple[MetaAction, ...]) -> Any:
     """The class that obeys these meta-actions."""
-    commanded = _with_constants(_OwnMetaVehicle, profile)
+    commanded = _with_constants(_MetaVehicle, profile)
     speeds = profile.target_speeds_mps if follows_profile(actions) else ()
-    commanded.PROFILE, commanded.SPEEDS, commanded.STEPS = profile, np.array(speeds), ()
+    commanded.PROFILE, commanded.SPEEDS = profile, np.array(speeds)
     of_profile = _steps_of(profile) if follows_profile(actions) and not speeds else ()
     commanded.MOST = max(1, len(of_profile), *(len(each.speed_steps_mps) for each in actions))
     return commanded
@@ -494,8 +476,6 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         "KP_HEADING": 1 / profile.tau_heading_s,
         "KP_LATERAL": 1 / profile.tau_lateral_s,
         "MAX_STEERING_ANGLE": profile.steering_limit_rad,
-        "DELTA_SPEED": profile.target_speed_step_mps,
-        "STEPS": profile.target_speed_steps_mps,
         "LOWEST_TARGET": profile.target_speed_min_mps,
         "HIGHEST_TARGET": profile.target_speed_max_mps,
         "FROM_CURRENT_LANE": profile.lane_command_from == "current_lane",

@@ -41,7 +41,7 @@ def test_mistakes_are_one_line(tmp_path: Path) -> None:
         ((RAMP, "--around", 0, 0), "--around and --radius belong together"),
         ((RAMP, "--around", "nan", 0, "--radius", 1), "expected a point and a distance"),
         ((RAMP, "--to", exists), "exists already"),
-        ((RAMP, "--to", "ramp.xml"), "does not end in .json"),
+        ((RAMP, "--to", "ramp.xml"), "expected a name that ends in .json"),
         ((RAMP, "--around", 0, 9000, "--radius", 1), "no lane is within 1 m of (0, 9000)"),
         ((tmp_path / "none.xodr",), "none.xodr: cannot be read: No such file"),
     ):

@@ -33,7 +33,7 @@ def test_a_page_has_the_tables_that_were_written_last(page: Path) -> None:
 def test_every_table_is_on_a_page() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     used = {found[2] for found in BLOCK.finditer(text)}
-    # Other tools write the others: rare_coverage.py, rare_comparison.py, likeness_page, mutants.
+    # rare_coverage, rare_comparison.py, likeness_page and mutants write the others.
     written = {*TABLES, "rare-coverage", "rare-intervals", "mutants", "mutants-ladders",
                "mutants-repetitions", "mutants-repeated-faults"}  # fmt: skip
     # Those of the plan were written once, by the commit that docs/training-plan.md names.

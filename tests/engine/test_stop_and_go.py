@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from stop_and_go import critical_density, growth_rate, ring
+from rings import critical_density, growth_rate, ring
 
 from charms_bench.world.profile import PROFILES
 

@@ -39,7 +39,7 @@ def test_it_lasts_as_long_as_the_episode_and_holds_the_end(tmp_path: Path) -> No
 
 def test_a_replay_animates_itself_above_what_happened(tmp_path: Path) -> None:
     replay = replay_of("off_road", x=np.zeros((6, 2)), speed=31.0)
-    ShownReplay.of(replay).animate(tmp_path / "its own.gif")
+    ShownReplay(**vars(replay)).animate(tmp_path / "its own.gif")
     animate(replay, tmp_path / "told.gif", "left the road at 31.0 m/s, at t = 0.3 s")
     assert (tmp_path / "its own.gif").read_bytes() == (tmp_path / "told.gif").read_bytes()
 

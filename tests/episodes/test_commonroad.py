@@ -85,7 +85,7 @@ def test_the_same_episode_is_always_the_same_file(tmp_path: Path) -> None:
 
 
 def test_another_name_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"episode\.json: expected .* ending in \.xml"):
+    with pytest.raises(InputError, match=r"episode\.json: expected .* ends in \.xml"):
         write_commonroad(REPLAY, tmp_path / "episode.json")
 
 

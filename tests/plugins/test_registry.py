@@ -4,19 +4,22 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 from command_line import charms_bench
 
 from charms_bench.errors import RegistryError
+from charms_bench.foundation.workers import _end_spare
+from charms_bench.plugins.event import Event
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import (
     AGENTS,
     EVENTS,
     TRAFFIC,
+    make,
     make_agent,
-    make_event,
     make_traffic,
     plugins,
 )
@@ -93,9 +96,10 @@ def test_an_attribute_of_another_type_is_named(
     known.mkdir()
     (known / "METADATA").write_text("Metadata-Version: 2.1\nName: attributes\nVersion: 0.1\n")
     (known / "entry_points.txt").write_text(f"[{group}]\nmade = of_{name.lower()}:{name}\n")
-    make = {AGENTS: make_agent, TRAFFIC: make_traffic, EVENTS: make_event}[group]
+    of_events = partial(make, EVENTS, options=None, kind=Event)
+    made_by = {AGENTS: make_agent, TRAFFIC: make_traffic, EVENTS: of_events}[group]
     with pytest.raises(RegistryError, match=message):
-        make("made")
+        made_by("made")
 
 
 def test_options_an_agent_does_not_take_are_named() -> None:
@@ -124,10 +128,11 @@ def test_a_name_that_two_distributions_claim_cannot_be_used_and_the_others_can(
     lines = (f"[{AGENTS}]", "idm_mobil = thief:A", f"[{TRAFFIC}]", "stackelberg = thief:T")
     (known / "entry_points.txt").write_text("\n".join(lines))
     monkeypatch.syspath_prepend(tmp_path)
+    _end_spare()  # one that another test left would not find the folder
     claim = "is claimed by two distributions, .*thief.*; uninstall one of them"
-    for make in (make_agent, make_traffic):
+    for each in (make_agent, make_traffic):
         with pytest.raises(RegistryError, match=f"'idm_mobil' {claim}"):
-            make("idm_mobil")
+            each("idm_mobil")
     with pytest.raises(RegistryError, match=f"the traffic 'stackelberg' {claim}"):
         make_traffic("stackelberg")
     assert make_agent("stackelberg")

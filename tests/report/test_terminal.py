@@ -1,11 +1,13 @@
 """Tables as a terminal shows them, drawn to scale."""
 
 import io
+from collections.abc import Callable
 
 import polars as pl
 import pytest
 from ego_table import EGO, SUITE
 from handmade_cells import lines
+from rich.console import Group
 
 from charms_bench.report.number import Number
 from charms_bench.report.pairs_table import KEYS, LONG
@@ -86,6 +88,18 @@ def test_long_labels_are_wrapped_and_no_number_is_cut_off(stacked: bool) -> None
     assert sum(line.count("A") for line in shown) == 2 * label.count("A")
     assert sum(line.count("0.0222") for line in shown) == 2
     assert sum(line.count("0.0329") for line in shown) == 2
+
+
+@pytest.mark.parametrize(("view", "width"), [(compact, 90), (grid, 90)])
+def test_no_name_breaks_within_a_word_where_a_column_of_numbers_fits_beside(
+    view: Callable[..., Group], width: int
+) -> None:
+    names = ("charms-roads-safe-prosocial", "roundabout-generic-v1", "yielding_human")
+    row = Row(names, (Number(0.1, 0.05, 0.2),) * 3)
+    columns = tuple(Column(f"column {k}") for k in range(3))
+    shown = lines(view(Table("t", "", ("agent", "road", "traffic"), columns, (row,)), width), width)
+    assert all(any(name in line for line in shown) for name in names)
+    assert any("0.050–0.200" in line for line in shown)
 
 
 def test_labels_that_fit_stay_on_one_line_with_every_column_beside_them() -> None:

@@ -79,7 +79,7 @@ def test_a_cell_can_be_read_as_soon_as_all_its_shards_are_written(tmp_path: Path
             suite(),
             tmp_path,
             workers=1,
-            progress=lambda cell, count: done.append(cell.title),
+            tell=lambda ego, count: done.append(ego),
             on_cell=on_cell,
         )
 

@@ -3,7 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 DECORATORS = {"compiled", "inlined", "woven", "compiled_of_scenes"}
 DECORATORS |= {"register_jitable", "_of_roads"}
@@ -51,6 +51,10 @@ class Module:
         start, end = self.span(node)
         return self.code[start:end].decode()
 
+    def between(self, first: ast.AST, second: ast.AST) -> str:
+        """The text after a node and before another one."""
+        return self.code[self.span(first)[1] : self.span(second)[0]].decode()
+
     def above(self, node: ast.AST) -> Iterator[ast.AST]:
         """The nodes around a node, from the inside to the outside."""
         while node in self.parents:
@@ -74,8 +78,7 @@ class Module:
         self, left: ast.AST, right: ast.AST, pattern: str, tokens: dict[str, str]
     ) -> Iterator[Edit]:
         """Exchanges the operator between two operands."""
-        start, end = self.span(left)[1], self.span(right)[0]
-        between = self.code[start:end].decode()
+        start, between = self.span(left)[1], self.between(left, right)
         found = re.search(pattern, between)
         if found and "#" not in between and (after := tokens.get(found[0])):
             yield (start + found.start(), start + found.end()), after
@@ -97,3 +100,54 @@ def name_of(call: ast.AST) -> str:
     """The name of the function that is called, without its module or object."""
     function = getattr(call, "func", None)
     return getattr(function, "id", "") or getattr(function, "attr", "")
+
+
+def is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.JoinedStr | ast.List | ast.Tuple | ast.ListComp) or (
+        isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
+
+
+def is_index(module: Module, node: ast.AST) -> bool:
+    """Whether a number is part of an index or of the bounds of a range."""
+    inside = [node, *module.above(node)]
+    return any(
+        (isinstance(up, ast.Subscript) and up.slice is child) or name_of(up) == "range"
+        for child, up in pairwise(inside)
+    )
+
+
+def body_of(node: ast.AST) -> list[ast.stmt]:
+    body = getattr(node, "body", [])
+    return body if isinstance(body, list) else []
+
+
+def ends_early(module: Module, loop: ast.For) -> bool:
+    for each in ast.walk(loop):
+        around = (up for up in module.above(each) if isinstance(up, ast.For | ast.While))
+        is_own = next(around, None) is loop
+        if isinstance(each, ast.Return) or (isinstance(each, ast.Break) and is_own):
+            return True
+    return False
+
+
+def keeps_state(module: Module, loop: ast.For) -> bool:
+    """Whether a loop changes, on a condition, what was there before it."""
+    assigned = {
+        name
+        for branch in ast.walk(loop)
+        if isinstance(branch, ast.If)
+        for name in names(branch, ast.Store)
+    }
+    return bool(assigned & known_before(module.function(loop), loop.lineno))
+
+
+def known_before(function: ast.AST | None, line: int) -> set[str]:
+    """The names that a function assigns before a line, and its arguments."""
+    known: set[str] = set()
+    for each in ast.walk(function) if function else ():
+        if isinstance(each, ast.arg):
+            known.add(each.arg)
+        elif isinstance(each, ast.Assign) and (each.end_lineno or 0) < line:
+            known |= names(each, ast.Store)
+    return known

@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 
+from mutation import module as tree
 from mutation.module import Edit, Function, Module, name_of, names
 
 DRAWS = re.compile(r"\b(draw\w*|random|uniform|normal|integers|choice|permutation|word)\(")
@@ -65,41 +66,27 @@ def connective(module: Module, node: ast.AST) -> Iterator[Edit]:
 
 def condition(module: Module, node: ast.AST) -> Iterator[Edit]:
     """A condition negated, except of those that only report errors."""
-    only_reports = any(isinstance(each, ast.Raise) for each in _body(node))
+    only_reports = any(isinstance(each, ast.Raise) for each in tree.body_of(node))
     if isinstance(node, ast.If | ast.IfExp) and not only_reports:
         yield module.span(node.test), f"(not ({module.text(node.test)}))"
-
-
-def _is_text(node: ast.AST) -> bool:
-    return isinstance(node, ast.JoinedStr | ast.List | ast.Tuple | ast.ListComp) or (
-        isinstance(node, ast.Constant) and isinstance(node.value, str)
-    )
-
-
-def _is_index(module: Module, node: ast.AST) -> bool:
-    """Whether a number is part of an index or of the bounds of a range."""
-    inside = [node, *module.above(node)]
-    return any(
-        (isinstance(up, ast.Subscript) and up.slice is child) or name_of(up) == "range"
-        for child, up in pairwise(inside)
-    )
 
 
 def sign(module: Module, node: ast.AST) -> Iterator[Edit]:
     """+ and -, or * and /, exchanged, or a minus dropped."""
     if isinstance(node, ast.BinOp):
-        if not (_is_text(node.left) or _is_text(node.right) or _is_index(module, node)):
+        sides = map(tree.is_text, (node.left, node.right))
+        if not (any(sides) or tree.is_index(module, node)):
             yield from module.replaced(node.left, node.right, r"[-+*/%@&|<>^]+", _SIGN)
-    elif isinstance(node, ast.AugAssign) and not _is_text(node.value):
+    elif isinstance(node, ast.AugAssign) and not tree.is_text(node.value):
         yield from module.replaced(node.target, node.value, r"\S+", _SIGN)
-    elif isinstance(getattr(node, "op", None), ast.USub) and not _is_index(module, node):
+    elif isinstance(getattr(node, "op", None), ast.USub) and not tree.is_index(module, node):
         yield module.span(node), f"({module.text(node.operand)})"
 
 
 def number(module: Module, node: ast.AST) -> Iterator[Edit]:
     """A number increased, by 1 or a tenth."""
     value, parent = getattr(node, "value", None), module.parents.get(node)
-    if not isinstance(node, ast.Constant) or _is_index(module, node):
+    if not isinstance(node, ast.Constant) or tree.is_index(module, node):
         return
     if isinstance(parent, ast.keyword) and parent.arg in SHAPES:
         return
@@ -116,22 +103,16 @@ def truth(module: Module, node: ast.AST) -> Iterator[Edit]:
         yield module.span(node), str(not node.value)
 
 
-def _body(node: ast.AST) -> list[ast.stmt]:
-    body = getattr(node, "body", [])
-    return body if isinstance(body, list) else []
-
-
 def exchange(module: Module, node: ast.AST) -> Iterator[Edit]:
     """Two neighbouring draws exchanged, or two neighbouring arguments of one kind."""
     simple = ast.Assign | ast.AugAssign | ast.Expr
-    for first, second in pairwise(_body(node)):
+    for first, second in pairwise(tree.body_of(node)):
         texts = module.text(first), module.text(second)
         is_drawn = all(isinstance(each, simple) for each in (first, second)) and all(
             map(DRAWS.search, texts)
         )
         if is_drawn and not names(first, ast.Store) & names(second, ast.Load):
-            between = module.code[module.span(first)[1] : module.span(second)[0]].decode()
-            yield module.span(first, second), texts[1] + between + texts[0]
+            yield module.span(first, second), module.between(first, second).join(texts[::-1])
     if isinstance(node, ast.Call) and name_of(node) not in SYMMETRIC:
         for i, (one, other) in enumerate(pairwise(node.args)):
             texts = module.text(one), module.text(other)
@@ -139,10 +120,11 @@ def exchange(module: Module, node: ast.AST) -> Iterator[Edit]:
             is_apart = isinstance(one, ast.Name) and (
                 i == 0 or texts[0].endswith("s") != texts[1].endswith("s")
             )
-            if type(one) is type(other) and texts[0] != texts[1] and not is_apart | _is_text(one):
-                between = module.code[module.span(one)[1] : module.span(other)[0]].decode()
+            is_alike = type(one) is type(other) and texts[0] != texts[1]
+            if is_alike and not is_apart | tree.is_text(one):
+                between = module.between(one, other)
                 if "(" not in between and ")" not in between:
-                    yield module.span(one, other), texts[1] + between + texts[0]
+                    yield module.span(one, other), between.join(texts[::-1])
 
 
 def order(module: Module, node: ast.AST) -> Iterator[Edit]:
@@ -155,40 +137,10 @@ def order(module: Module, node: ast.AST) -> Iterator[Edit]:
     start, end = (["0"] * 2 + bounds)[-2:] if len(bounds) == 2 else ["0", *bounds]
     shifted = "1" if start == "0" else f"{start} + 1"
     yield module.span(node.iter), f"range({shifted}, {end})"
-    matters = _ends_early(module, node) or _keeps(module, node) or DRAWS.search(module.text(node))
+    draws = DRAWS.search(module.text(node))
+    matters = draws or tree.ends_early(module, node) or tree.keeps_state(module, node)
     if getattr(node.target, "id", "_") != "_" and matters:
         yield module.span(node.iter), f"range({end} - 1, {start} - 1, -1)"
-
-
-def _ends_early(module: Module, loop: ast.For) -> bool:
-    for each in ast.walk(loop):
-        around = (up for up in module.above(each) if isinstance(up, ast.For | ast.While))
-        is_own = next(around, None) is loop
-        if isinstance(each, ast.Return) or (isinstance(each, ast.Break) and is_own):
-            return True
-    return False
-
-
-def _keeps(module: Module, loop: ast.For) -> bool:
-    """Whether a loop changes, on a condition, what was there before it."""
-    assigned = {
-        name
-        for branch in ast.walk(loop)
-        if isinstance(branch, ast.If)
-        for name in names(branch, ast.Store)
-    }
-    return bool(assigned & _known(module.function(loop), loop.lineno))
-
-
-def _known(function: ast.AST | None, line: int) -> set[str]:
-    """The names that a function assigns before a line, and its arguments."""
-    known: set[str] = set()
-    for each in ast.walk(function) if function else ():
-        if isinstance(each, ast.arg):
-            known.add(each.arg)
-        elif isinstance(each, ast.Assign) and (each.end_lineno or 0) < line:
-            known |= names(each, ast.Store)
-    return known
 
 
 def stale(module: Module, node: ast.AST) -> Iterator[Edit]:
@@ -197,7 +149,7 @@ def stale(module: Module, node: ast.AST) -> Iterator[Edit]:
     if function is None or getattr(function, "name", "") == "__init__":
         return
     if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-        if node.targets[0].id in _known(function, node.lineno):
+        if node.targets[0].id in tree.known_before(function, node.lineno):
             yield module.span(node), "pass"
     elif isinstance(node, ast.AugAssign) or (
         isinstance(node, ast.Assign) and not isinstance(node.targets[0], ast.Tuple)
@@ -227,7 +179,7 @@ def way_out(module: Module, node: ast.AST) -> Iterator[Edit]:
 
 def index(module: Module, node: ast.AST) -> Iterator[Edit]:
     """An index off by one."""
-    if not isinstance(node, ast.Constant | ast.Name) or not _is_index(module, node):
+    if not isinstance(node, ast.Constant | ast.Name) or not tree.is_index(module, node):
         return
     parent = module.parents[node]
     if isinstance(node, ast.Constant) and type(node.value) is int and name_of(parent) != "range":

@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.typing import ColorType
 
-from charms_bench.errors import InputError
-from charms_bench.foundation.files import write_atomically
+from charms_bench.foundation.files import check_ending, write_atomically
 from charms_bench.report.number import Number
 from charms_bench.world.scene import Floats
 
@@ -33,12 +32,6 @@ PAPER = "#fffffe"
 LIGHT, DARK = "#ffffff", "#010101"
 """Text on fields of colour, whatever is behind the figure. One of the two stands out from any field
 by 4.5 to 1. Black itself would take the colour of the page's text."""
-
-
-def check_figure(path: Path) -> None:
-    """Raises an `InputError` for a file name that does not end as a format's does."""
-    if path.suffix.lower() not in ENDINGS:
-        raise InputError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
 
 
 def panels(
@@ -131,7 +124,7 @@ def take_text_as_it_is(figure: Figure) -> None:
 
 def save(figure: Figure, path: Path) -> None:
     """Writes a figure in the format of the file's ending; an `InputError` if it cannot be."""
-    check_figure(path)
+    check_ending(path, *ENDINGS)
     take_text_as_it_is(figure)
     ending = path.suffix.lower().removeprefix(".")
     with any_letters():

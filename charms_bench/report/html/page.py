@@ -3,14 +3,12 @@
 import hashlib
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from markupsafe import Markup
 
 from charms_bench import __version__
-from charms_bench.errors import InputError
 from charms_bench.report.figures.timelines import LEFT, RIGHT
 from charms_bench.report.html.sections import Section
 from charms_bench.report.html.table import TEMPLATES, definition_ids, environment
@@ -18,12 +16,7 @@ from charms_bench.report.table import Column
 from charms_bench.world.palette import AGENTS, VEHICLES
 
 SCRIPTS = ("tables.js", "player.js", "controls.js")
-
-
-def check_page(path: Path) -> None:
-    """Raises an `InputError` for a file name that does not end in `.html`."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{path}: expected a name that ends in .html")
+ENDINGS = (".html", ".htm")
 
 
 def render(

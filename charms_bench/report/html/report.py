@@ -6,11 +6,11 @@ from typing import Any
 
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.errors import InputError
-from charms_bench.foundation.files import absolute, write_bytes
+from charms_bench.foundation.files import absolute, check_ending, write_bytes
 from charms_bench.report.html.chosen import asked, choose, choose_beside, futures
 from charms_bench.report.html.episode import for_page
 from charms_bench.report.html.packed import pack
-from charms_bench.report.html.page import check_page, render
+from charms_bench.report.html.page import ENDINGS, render
 from charms_bench.report.html.sections import section_of, what_if_section
 from charms_bench.report.html.sources import Evaluation, Source, open_sources
 
@@ -29,7 +29,7 @@ def write_report(
     RUN:EPISODE[:EGO[:TRAFFIC]], of which `what_if` shows another future, STEP:AGENT[:VEHICLE].
     Relative paths in suites start at `suite_folder`. A `CharmsBenchError` says what cannot be used.
     """
-    check_page(output)
+    check_ending(output, *ENDINGS)
     page_path, suite_folder = absolute(output), absolute(suite_folder)
     sources = open_sources(paths)
     runs = [source for source in sources if isinstance(source, Evaluation)]

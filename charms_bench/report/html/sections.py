@@ -17,7 +17,7 @@ from charms_bench.report.figures.paper_values import draw_beside_paper
 from charms_bench.report.figures.preventable import draw_preventable, survivors
 from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
-from charms_bench.report.html.sources import Evaluation, OtherFolder, Source
+from charms_bench.report.html.sources import Evaluation, Source
 from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
 from charms_bench.report.sentences import finding, place
@@ -69,7 +69,6 @@ def section_of(source: Source, folder: Path) -> Section:
     """The section of a run folder; relative paths in a suite start at `folder`."""
     if isinstance(source, Evaluation):
         return _of_evaluation(source, folder)
-    assert isinstance(source, OtherFolder)
     table, facts = source.found, [f"run folder {source.path.name}"]
     if isinstance(table, Training):
         return _of_training(source.key, table, facts)

@@ -1,8 +1,8 @@
 """Opens the run folders that a report is made of: evaluations and trainings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from charms_bench.episodes.found_suite import found_in
 from charms_bench.episodes.search import MANIFEST as SEARCH
@@ -18,28 +18,25 @@ from charms_bench.runs.rare import MANIFEST as RARE
 from charms_bench.runs.resumable_folder import MANIFEST
 
 
-@dataclass(frozen=True)
-class Source:
-    """A run folder of a report."""
+class Evaluation(NamedTuple):
+    """The folder of a finished run of a suite."""
 
     key: str
     """Its name in the report's links, such as the suite's, with a number if it is taken."""
     path: Path
-
-
-@dataclass(frozen=True)
-class Evaluation(Source):
-    """The folder of a finished run of a suite."""
-
     run: FinishedRun
     tables: RunTables
 
 
-@dataclass(frozen=True)
-class OtherFolder(Source):
+class OtherFolder(NamedTuple):
     """The folder of a training, or that of `rare` or `search`, which has one table."""
 
+    key: str
+    path: Path
     found: Training | Table
+
+
+Source = Evaluation | OtherFolder
 
 
 def open_sources(paths: Sequence[Path]) -> list[Source]:
