@@ -3,8 +3,8 @@
     python tools/roads_ablations.py FOLDER
 
 Trains each variant of `suites/train-roads.yaml`, and DQN and PPO of Stable-Baselines3, with five
-seeds and 300,000 steps, drives them, and writes `docs/results/plan-roads-ablations*`. What is
-finished in FOLDER is not done again.
+seeds and 300,000 steps, and drives them. What is finished in FOLDER is not done again.
+`write_results.py roads-ablations FOLDER` writes the table.
 """
 
 import copy
@@ -17,11 +17,10 @@ from typing import Any
 import plan_roads as plan
 import polars as pl
 import yaml
-from plan_roads_tables import ROUGH, percentage, values_of
+from plan_roads import SEED
+from plan_roads_tables import ROUGH, percentage
+from plan_roads_values import mean_of, values_of
 from result_pages import RESULTS, ROOT, keep, refill
-from roads_baselines import SETTINGS as BASELINES
-from roads_baselines import train_baseline
-from seeds import SEED, mean_of
 
 import charms_bench
 from charms_bench.report.markdown import markdown
@@ -32,6 +31,8 @@ STEPS_OF_LEVEL_1, STEPS = 60_000, 300_000
 """The second are those of all stages together."""
 Document = dict[str, Any]
 COMPLETE, ONE_STYLE, PRIOR = "CHARMS", "one style", "the prior alone, Level-0"
+BASELINES = "DQN", "PPO"
+"""What learns the style of `ONE_STYLE` in its place."""
 QUANTITIES = {"reached": "goal reached", "at_fault": "at fault or undecided"}
 
 
@@ -79,6 +80,8 @@ def networks_of(folder: Path, name: str, seed: int) -> Path:
 
 def train(folder: Path) -> None:
     """Trains each variant and each other algorithm with each seed."""
+    from roads_baselines import train_baseline  # needs the extra `train`
+
     text = (ROOT / "suites" / "train-roads.yaml").read_text(encoding="utf-8")
     for seed in SEEDS:
         for name, change in VARIANTS.items():
@@ -96,8 +99,8 @@ def train(folder: Path) -> None:
                     train_baseline(file, algorithm, networks[0], networks[1] / "roads")
 
 
-def drive(folder: Path) -> pl.DataFrame:
-    """The values of 300 episodes per road of each network, in the roads' own traffic."""
+def drive(folder: Path) -> None:
+    """Drives 300 episodes per road with each network, in the roads' own traffic."""
     egos: list[Document] = []
     for seed in SEEDS:
         people = {"onnx": str(networks_of(folder, COMPLETE, seed) / "people.onnx")}
@@ -112,7 +115,6 @@ def drive(folder: Path) -> pl.DataFrame:
     file = folder / "ablations.yaml"
     file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
     charms_bench.run(file, folder / "ablations")
-    return values_of(folder, "ablations").drop("test", "traffic")
 
 
 def trained(folder: Path) -> pl.DataFrame:
@@ -146,17 +148,22 @@ def differences(values: pl.DataFrame) -> str:
     return markdown(Table.plain(every, ("road", "variant"), dict.fromkeys(columns, "")))
 
 
+def tables(folder: Path) -> None:
+    """Writes what the networks do."""
+    rough = pl.selectors.float().round_sig_figs(4)
+    found = values_of(folder, "ablations").drop("test", "traffic")
+    driven = found.with_columns(rough).with_columns(ROUGH)
+    networks = trained(folder).rename({"variant": "ego"})
+    every = driven.join(networks, on=["ego", "seed"], how="left").sort("road", "ego", "seed")
+    every.write_csv(RESULTS / "plan-roads-ablations.csv")
+    keep("plan-roads-ablations", differences(driven))
+    refill(ROOT / "docs" / "training-plan-roads.md")
+
+
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit("usage: python tools/roads_ablations.py FOLDER")
     where = Path(sys.argv[1])
     where.mkdir(parents=True, exist_ok=True)
     train(where)
-    rough = pl.selectors.float().round_sig_figs(4)
-    driven = drive(where).with_columns(rough).with_columns(ROUGH)
-    networks = trained(where).rename({"variant": "ego"})
-    driven.join(networks, on=["ego", "seed"], how="left").sort("road", "ego", "seed").write_csv(
-        RESULTS / "plan-roads-ablations.csv"
-    )
-    keep("plan-roads-ablations", differences(driven))
-    refill(ROOT / "docs" / "training-plan-roads.md")
+    drive(where)

@@ -4,6 +4,7 @@
     python tools/write_results.py mutants RUN
     python tools/write_results.py likeness DATA
     python tools/write_results.py plan-roads NETWORKS RUNS
+    python tools/write_results.py roads-ablations FOLDER
     python tools/write_results.py rare-coverage
 
 RUNS holds the run folders of the suites by their names, `RUNS/ego` and so on, and that of the
@@ -25,6 +26,7 @@ import likeness_page
 import mutants
 import plan_roads_tables
 import rare_coverage
+import roads_ablations
 import run_results as of_runs
 import suite_results as of_suites
 from rare_comparison import rare_comparison, rare_estimate
@@ -76,6 +78,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "mutants": mutants.write,
     "likeness": likeness_page.write_page,
     "plan-roads": plan_roads_tables.tables,
+    "roads-ablations": roads_ablations.tables,
     "rare-coverage": rare_coverage.write,
 }
 
