@@ -1,7 +1,7 @@
 """Scripts for highway-env run here when the id of the environment is changed, and nothing else.
 
-They do what highway-env's own scripts and its readme do, with fewer training steps, and each runs
-with highway-env's id, too. `tox -e libraries` also records their videos.
+They do what highway-env's own scripts and its readme do, with fewer training steps. `tox -e slow`
+and `tox -e libraries` run each with highway-env's id, too, and the latter records their videos.
 """
 
 from collections.abc import Iterator
@@ -38,7 +38,11 @@ def idm_of_highway_env() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(params=["", "charms_bench.envs:charms_bench/"], ids=["highway-env", "charms-bench"])
+THEIRS = pytest.param("", id="highway-env", marks=pytest.mark.slow)
+OURS = pytest.param("charms_bench.envs:charms_bench/", id="charms-bench")
+
+
+@pytest.fixture(params=[THEIRS, OURS])
 def prefix(request: pytest.FixtureRequest) -> str:
     """What stands before the name of an environment."""
     return str(request.param)
