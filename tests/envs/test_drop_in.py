@@ -4,7 +4,6 @@ They do what highway-env's own scripts and its readme do, with fewer training st
 and `tox -e libraries` run each with highway-env's id, too, and the latter records their videos.
 """
 
-from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from gymnasium.error import ResetNeeded
 
 import charms_bench.envs  # noqa: F401  # registers the environments
 from charms_bench.errors import InputError
-from charms_bench.testing.stock_roads import unchanged_idm
 
 RENDERING = {
     "screen_width": 800,
@@ -29,13 +27,6 @@ RENDERING = {
     "offscreen_rendering": True,
     "real_time_rendering": True,
 }
-
-
-@pytest.fixture(autouse=True)
-def idm_of_highway_env() -> Iterator[None]:
-    """Without it, the other roads would differ after highway-env's `intersection`."""
-    with unchanged_idm():
-        yield
 
 
 THEIRS = pytest.param("", id="highway-env", marks=pytest.mark.slow)

@@ -18,15 +18,7 @@ import charms_bench.envs  # noqa: F401  # registers the environments
 from charms_bench.envs.road_env import RoadEnv
 from charms_bench.errors import InputError
 from charms_bench.roads import TASKS
-from charms_bench.testing.stock_roads import unchanged_idm
 from charms_bench.world.picture import ASPHALT, EGO, FINE, HEADER, PLAN_M, WIDTH
-
-
-@pytest.fixture(autouse=True)
-def idm_of_highway_env() -> Iterator[None]:
-    """Without it, the other roads would differ after highway-env's `intersection`."""
-    with unchanged_idm():
-        yield
 
 
 def stock(name: str) -> Any:
