@@ -284,8 +284,9 @@ def test_what_cannot_be_shown_is_one_message(
 def test_colours_asked_for_in_a_file_bring_no_bar_that_moves(
     suite_file: Path, copied_run: Path
 ) -> None:
+    words = ["run", "suite.yaml", "--workers", "1", "--output", str(copied_run)]
     result = subprocess.run(
-        [sys.executable, "-m", "charms_bench", "run", "suite.yaml", "--output", str(copied_run)],
+        [sys.executable, "-m", "charms_bench", *words],
         capture_output=True,
         text=True,
         check=True,
@@ -368,7 +369,7 @@ def test_a_terminal_gets_a_progress_bar(suite_file: Path, copied_run: Path) -> N
     primary, secondary = pty.openpty()
     command = [sys.executable, "-m", "charms_bench", "run", str(suite_file)]
     running = subprocess.Popen(
-        [*command, "--output", str(copied_run)],
+        [*command, "--workers", "1", "--output", str(copied_run)],
         stdout=subprocess.DEVNULL,
         stderr=secondary,
         env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "120"},
