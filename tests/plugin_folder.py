@@ -6,9 +6,15 @@ import sys
 import tomllib
 from pathlib import Path
 
+from charms_bench.foundation.workers import _end_spare
+
 
 def installed(folder: Path) -> dict[str, str]:
-    """The environment of processes that find the distribution in `folder`, with its metadata."""
+    """The environment of processes that find the distribution in `folder`, with its metadata.
+
+    A worker that an earlier test has left would not find it, and ends.
+    """
+    _end_spare()
     project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
     known = folder / f"{project['name']}-0.1.dist-info"
     known.mkdir()

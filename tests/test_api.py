@@ -141,7 +141,7 @@ def test_a_script_needs_no_guard_of_its_main_module(suite_file: Path, tmp_path: 
     script = tmp_path / "script.py"
     script.write_text(
         "import charms_bench\n"
-        f"run = charms_bench.run({str(suite_file)!r}, 'run', episodes=2, workers=2)\n"
+        f"run = charms_bench.run({str(suite_file)!r}, 'run', episodes=2, workers=1)\n"
         "print('finished', len(run.episodes))\n"
     )
     finished = subprocess.run(

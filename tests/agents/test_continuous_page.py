@@ -10,7 +10,6 @@ import pytest
 from command_line import charms_bench
 
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
-pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
 SECTION = re.compile(r"^## Continuous control\n(.*?)^## ", re.DOTALL | re.MULTILINE)

@@ -1,14 +1,10 @@
 """Double DQN: its target by hand, its rates in steps, its exploration."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 from typing import Any
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-
+import torch
 from charms_agents.training.double_dqn import DoubleDQN
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.hyperparameters import Hyperparameters

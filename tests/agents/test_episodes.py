@@ -3,10 +3,6 @@
 from typing import Any
 
 import numpy as np
-import pytest
-
-pytest.importorskip("torch", reason="needs the extra 'train'")
-
 from charms_agents.training.episodes import Episodes, Step
 from charms_agents.training.rewards import StyleReward, Weights
 from handmade_scene import Idle

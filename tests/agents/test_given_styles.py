@@ -1,16 +1,12 @@
 """One network that is given the style in which it drives: its training, its file, its use."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 from math import cos, pi
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
-
+import torch
 from charms_agents.training import pipeline
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
 from charms_agents.training.network_file import export

@@ -5,13 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rows.history import earlier_networks, missing
-
-pytest.importorskip("torch", reason="needs the extra 'train'")
-
 from charms_agents.training.completed_reward import RewardScales
 from charms_agents.training.job import Job, reinforcement_job
 from charms_agents.training.suite_file import load_training
+from rows.history import earlier_networks, missing
 
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent

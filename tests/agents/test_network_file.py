@@ -1,16 +1,12 @@
 """Files of networks say what a policy needs beside its weights."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
-
+import torch
 from charms_agents.training.network_file import export
 
 from charms_bench.errors import ModelError

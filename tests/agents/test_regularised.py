@@ -1,24 +1,20 @@
 """Values and policies that a prior regularises: closed forms, and what an optimiser finds."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.optimize import minimize
-from scipy.special import logsumexp, rel_entr, softmax
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-
+import torch
 from charms_agents.training.double_dqn import DoubleDQN, regularised
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.hyperparameters import Hyperparameters
 from charms_agents.training.network import network_of
 from charms_agents.training.rewards import StyleReward, Weights
 from handmade_scene import Idle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+from scipy.special import logsumexp, rel_entr, softmax
 
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.plugins.traffic import OneAgent

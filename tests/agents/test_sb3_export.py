@@ -1,7 +1,5 @@
 """Stable-Baselines3 checkpoints become ONNX files; hostile ones do nothing."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 import json
 import os
 import pickle
@@ -10,18 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pytest
-from command_line import charms_bench
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
-onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
-
 import gymnasium
+import numpy as np
+import onnx
+import pytest
+import stable_baselines3 as sb3
+import torch
 from charms_agents.training import sb3_export
 from charms_agents.training.network_file import KINDS, read_network
 from charms_agents.training.sb3_export import export_zip
+from command_line import charms_bench
 from handmade_weights import ppo_weights
 from made_checkpoints import Blank, zipped
 from stable_baselines3.common.torch_layers import FlattenExtractor

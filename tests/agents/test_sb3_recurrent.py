@@ -1,17 +1,11 @@
 """Checkpoints of sb3-contrib's RecurrentPPO become ONNX files with states, and stochastic ones."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
-pytest.importorskip("onnx", reason="needs the extra 'train'")
-
+import torch
 from charms_agents.training.sb3_export import export_zip
 from command_line import charms_bench
 from handmade_weights import dqn_weights, ppo_weights, recurrent_weights

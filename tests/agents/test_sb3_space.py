@@ -1,20 +1,16 @@
 """A checkpoint is exported with what it was trained on, or rejected with the reason."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 import json
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
-from command_line import charms_bench
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
-
-import gymnasium
+import stable_baselines3 as sb3
+import torch
 from charms_agents.training.sb3_export import export_zip
+from command_line import charms_bench
 from gymnasium.wrappers import FrameStackObservation, NormalizeObservation, RescaleObservation
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, VecNormalize
 

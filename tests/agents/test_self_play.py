@@ -15,7 +15,6 @@ import pytest
 from command_line import charms_bench
 
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
-pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
 STEPS = "model.learn(1_000_000)"

@@ -1,21 +1,17 @@
 """Two networks side by side, and networks that also observe commands."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-
+import torch
 from charms_agents.training.network import side_by_side, untrained
 from charms_agents.training.standardised import folded, standardise, unfolded
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 WIDTH = st.integers(1, 12)
 
 
-def observations(seed: int, inputs: int) -> "torch.Tensor":
+def observations(seed: int, inputs: int) -> torch.Tensor:
     rng = np.random.default_rng(seed)
     return torch.from_numpy(rng.normal(size=(30, inputs)).astype(np.float32))
 

@@ -1,12 +1,7 @@
 """Standardised observations, by hand."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 import numpy as np
-import pytest
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-
+import torch
 from charms_agents.training.network import layers_of, untrained
 from charms_agents.training.standardised import FACTORS, folded, standardise, unfolded
 from handmade_scene import simulation_of

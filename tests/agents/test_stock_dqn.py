@@ -1,7 +1,5 @@
 """A DQN of stock `highway-v0` takes here, step for step, the actions that it takes there."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 import re
 from pathlib import Path
 from typing import Any
@@ -10,11 +8,8 @@ import gymnasium
 import highway_env  # noqa: F401  # registers highway-v0
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
-pytest.importorskip("onnx", reason="needs the extra 'train'")
-
+import stable_baselines3 as sb3
+import torch
 from charms_agents.training.sb3_export import export_zip
 
 from charms_bench.engine import MakeEngine

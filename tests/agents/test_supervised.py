@@ -1,17 +1,12 @@
 """Learning from human driving: the loss by hand, what is measured, and its determinism."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 import math
 from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-pytest.importorskip("onnx", reason="needs the extra 'train'")
-
+import torch
 from charms_agents.human.samples import Samples
 from charms_agents.training import own_driving
 from charms_agents.training.curve import Epoch

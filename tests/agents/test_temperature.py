@@ -4,12 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from charms_agents.training.supervised import HOTTEST, fitted_temperature, log_likelihood
 from hypothesis import given
 from hypothesis import strategies as st
-
-pytest.importorskip("torch", reason="needs the extra 'train'")
-
-from charms_agents.training.supervised import HOTTEST, fitted_temperature, log_likelihood
 
 THIRD = math.log(3)
 """Its softmax beside four zeros is 3/7, and theirs 1/7."""

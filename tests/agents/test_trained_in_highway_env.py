@@ -1,7 +1,5 @@
 """A network trained in one of highway-env's environments acts in a suite on that road as there."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,12 +8,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from command_line import charms_bench
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
-
+import stable_baselines3 as sb3
+import torch
 from charms_agents.training.sb3_export import export_zip
+from command_line import charms_bench
 from handmade_weights import recurrent_weights
 from made_checkpoints import zipped
 

@@ -1,14 +1,9 @@
 """Training suites with roads: their conditions, the goal in the reward, and how they continue."""
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-
 from charms_agents.human.simulated import simulated_samples
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
 from charms_agents.training.reinforcement import Reinforcement

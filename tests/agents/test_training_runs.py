@@ -4,8 +4,6 @@ One suite has a stage of each kind: an imitation of simulated drivers, stages re
 without it, fine-tuned ones, and an imitation of recordings.
 """
 
-# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
-
 import hashlib
 import json
 import os
@@ -19,21 +17,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import polars as pl
 import pytest
-from command_line import charms_bench
-from scipy import stats
-from scipy.special import softmax
-
-torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
-
+import torch
 from charms_agents.training import own_driving, pipeline
 from charms_agents.training.network_file import read_network
 from charms_agents.training.schedule import _width
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.stage_progress import Tell
 from charms_agents.training.suite_file import load_training
+from command_line import charms_bench
+from scipy import stats
+from scipy.special import softmax
 from trios import busy_road, write_trio
 
 from charms_bench.errors import DataError, InputError, RunFolderError, SuiteError

@@ -178,24 +178,20 @@ def test_help_lists_every_command_in_one_of_six_groups_on_one_line() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "code", "message"),
+    ("name", "code", "messages"),
     [
-        ("outside_policy", 0, "pass policy decides for each vehicle independently"),
-        ("outside_policy", 0, "remark chose a lane that does not exist in "),
+        ("outside_policy", 0, ("pass policy decides for each vehicle independently\n"
+                               "remark chose a lane that does not exist in ")),
         ("outside_model", 0, "pass model does not change the scene"),
         ("outside_traffic", 0, "pass traffic follows its rng"),
-        (
-            "outside_misshapen",
-            1,
-            "fail policy returns one action per vehicle: for row 0 of 336, decide",
-        ),
+        ("outside_misshapen", 1, "fail policy returns one action per vehicle: for row 0 of 336"),
         ("outside_raising", 1, "raised ValueError: out of petrol"),
     ],
-)
-def test_check_holds_a_plugin_against_the_contract(name: str, code: int, message: str) -> None:
+)  # fmt: skip
+def test_check_holds_a_plugin_against_the_contract(name: str, code: int, messages: str) -> None:
     result = charms_bench("check", name)
     assert result.returncode == code, result.stderr
-    assert message in result.stdout
+    assert [each for each in messages.splitlines() if each not in result.stdout] == []
 
 
 def test_a_new_agent_is_written_with_what_to_do_next(tmp_path: Path) -> None:
@@ -288,8 +284,9 @@ def test_what_cannot_be_shown_is_one_message(
 def test_colours_asked_for_in_a_file_bring_no_bar_that_moves(
     suite_file: Path, copied_run: Path
 ) -> None:
+    words = ["run", "suite.yaml", "--workers", "1", "--output", str(copied_run)]
     result = subprocess.run(
-        [sys.executable, "-m", "charms_bench", "run", "suite.yaml", "--output", str(copied_run)],
+        [sys.executable, "-m", "charms_bench", *words],
         capture_output=True,
         text=True,
         check=True,
@@ -318,12 +315,6 @@ def test_many_episodes_are_a_line_every_tenth(capsys: pytest.CaptureFixture[str]
     assert (len(lines), lines[0]) == (10, "10,000 of 100,000 episodes")
 
 
-def test_verify_compares_a_suites_cells(suite_file: Path) -> None:
-    result = charms_bench("verify", "--suite", suite_file, "--episodes", 2)
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert "4 episodes: the engines agree." in result.stdout
-
-
 def test_bench_prints_ratios() -> None:
     result = charms_bench("bench", "--seconds", "0.1", "--rounds", "1", "--json")
     rows = json.loads(result.stdout)
@@ -335,20 +326,21 @@ def test_bench_prints_ratios() -> None:
 
 
 def test_verify_and_bench_take_a_road_of_highway_env() -> None:
-    result = charms_bench("verify", "--road", "merge-v1", "--episodes", 2, "--json")
+    words = ("verify", "--workers", 1, "--road")
+    result = charms_bench(*words, "merge-v1", "--episodes", 2, "--json")
     assert result.returncode == 0, result.stdout + result.stderr
     assert [row["differences"] for row in json.loads(result.stdout)] == [[]]
     file = Path(__file__).parents[2] / "suites" / "places" / "roundabout.json"
-    result = charms_bench("verify", "--road", file, "--episodes", 1)
+    result = charms_bench(*words, file, "--episodes", 1)
     assert "1 episode: the engines agree." in result.stdout
-    result = charms_bench("verify", "--road", "merge-v1", "--starts", "--json")
+    result = charms_bench(*words, "merge-v1", "--starts", "--json")
     assert [(row["episodes"], row["steps"]) for row in json.loads(result.stdout)] == [(20, 0)]
     result = charms_bench("bench", "--road", "merge-v1", "--seconds", 0.1, "--rounds", 1, "--json")
     rows = json.loads(result.stdout)
     assert [row["name"] for row in rows] == ["charms_bench/merge-v1", "highway-env"]
     result = charms_bench("bench", "--road", "merge-v1", "--vehicles", 50)
     assert (result.returncode, result.stderr) == (2, "error: --road excludes --vehicles\n")
-    result = charms_bench("verify", "--road", "merg-v1")
+    result = charms_bench(*words, "merg-v1")
     assert result.returncode == 2
     assert "no file and no environment named 'merg-v1'" in result.stderr
 
@@ -377,7 +369,7 @@ def test_a_terminal_gets_a_progress_bar(suite_file: Path, copied_run: Path) -> N
     primary, secondary = pty.openpty()
     command = [sys.executable, "-m", "charms_bench", "run", str(suite_file)]
     running = subprocess.Popen(
-        [*command, "--output", str(copied_run)],
+        [*command, "--workers", "1", "--output", str(copied_run)],
         stdout=subprocess.DEVNULL,
         stderr=secondary,
         env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "120"},

@@ -165,13 +165,6 @@ def test_memory_that_does_not_fit_names_the_agent(answer: Any, message: str) -> 
         driven(simulation(Wrong()), steps=1)
 
 
-def test_a_width_that_is_not_possible_names_the_attribute() -> None:
-    policy = Recurrent()
-    policy.memory_width = -1
-    with pytest.raises(InputError, match="agent 'ego': its attribute `memory_width` is '-1'"):
-        simulation(policy)
-
-
 class Planner(Policy):
     """Carries out IDLE; it only looks."""
 
@@ -281,13 +274,13 @@ def test_a_planner_cannot_look_ahead_with_a_planner() -> None:
         simulation(Endless())
 
 
+@pytest.mark.parametrize("agent", [Recurrent, Hesitant])
 @pytest.mark.parametrize("width", [-1, "2", 10**9])
-def test_a_driver_models_width_of_memory_is_checked(width: Any) -> None:
-    class Wrong(Hesitant):
-        memory_width = width
-
-    with pytest.raises(InputError, match="agent 'ego': its attribute `memory_width` is"):
-        simulation(Wrong())
+def test_a_width_of_memory_that_is_not_possible_names_the_attribute(agent: Any, width: Any) -> None:
+    wrong = agent()
+    wrong.memory_width = width
+    with pytest.raises(InputError, match=f"agent 'ego': its attribute `memory_width` is '{width}'"):
+        simulation(wrong)
 
 
 def test_a_driver_model_that_leaves_nan_in_its_memory_is_named() -> None:

@@ -107,20 +107,14 @@ def test_a_file_that_is_not_a_state_is_rejected(
         load_state(file)
 
 
-def test_every_edit_of_one_digit_is_rejected(file: Path) -> None:
+def test_a_file_of_which_a_digit_was_edited_or_that_was_written_again_says_so(file: Path) -> None:
     text, rng = file.read_text(), np.random.default_rng(0)
+    edits = [json.dumps(json.loads(text)), text + "\n", text.replace('"idm_mobil"', '"level_0"')]
     places = [k for k, letter in enumerate(text) if letter.isdigit()]
     for place in rng.choice(places, 60, replace=False):
-        others = [digit for digit in "0123456789" if digit != text[place]]
-        file.write_text(text[:place] + rng.choice(others) + text[place + 1 :])
-        with pytest.raises(InputError, match=r"state\.json: "):
-            load_state(file)
-
-
-def test_a_file_that_was_edited_or_written_again_says_so(file: Path) -> None:
-    text = file.read_text()
-    again = json.dumps(json.loads(text))
-    for changed in (again, text + "\n", text.replace('"idm_mobil"', '"level_0"')):
+        digit = (int(text[place]) + rng.integers(1, 10)) % 10
+        edits.append(f"{text[:place]}{digit}{text[place + 1 :]}")
+    for changed in edits:
         file.write_text(changed)
         with pytest.raises(InputError, match=r"sha256: .*has been edited or damaged; save the sta"):
             load_state(file)

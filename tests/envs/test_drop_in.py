@@ -1,10 +1,9 @@
 """Scripts for highway-env run here when the id of the environment is changed, and nothing else.
 
-They do what highway-env's own scripts and its readme do, with fewer training steps, and each runs
-with highway-env's id, too. `tox -e libraries` also records their videos.
+They do what highway-env's own scripts and its readme do, with fewer training steps. `tox -e slow`
+and `tox -e libraries` run each with highway-env's id, too, and the latter records their videos.
 """
 
-from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from gymnasium.error import ResetNeeded
 
 import charms_bench.envs  # noqa: F401  # registers the environments
 from charms_bench.errors import InputError
-from charms_bench.testing.stock_roads import unchanged_idm
 
 RENDERING = {
     "screen_width": 800,
@@ -31,14 +29,11 @@ RENDERING = {
 }
 
 
-@pytest.fixture(autouse=True)
-def idm_of_highway_env() -> Iterator[None]:
-    """Without it, the other roads would differ after highway-env's `intersection`."""
-    with unchanged_idm():
-        yield
+THEIRS = pytest.param("", id="highway-env", marks=pytest.mark.slow)
+OURS = pytest.param("charms_bench.envs:charms_bench/", id="charms-bench")
 
 
-@pytest.fixture(params=["", "charms_bench.envs:charms_bench/"], ids=["highway-env", "charms-bench"])
+@pytest.fixture(params=[THEIRS, OURS])
 def prefix(request: pytest.FixtureRequest) -> str:
     """What stands before the name of an environment."""
     return str(request.param)

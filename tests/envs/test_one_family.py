@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
+from test_copies import parallel
 
 from charms_bench.envs.ego_env import EgoEnv, ego_vector_env
 from charms_bench.envs.learners_vector_env import LearnersVectorEnv
@@ -15,13 +16,6 @@ from charms_bench.errors import InputError
 
 AGENTS = "intersection-multi-agent-v1"
 SCENE: dict[str, Any] = {"traffic_vehicles": 6, "density": 2.0, "duration_s": 8.0}
-
-
-def parallel(kind: str, *given: Any, **others: Any) -> Any:
-    pytest.importorskip("pettingzoo", reason="needs the extra 'pettingzoo'")
-    from charms_bench.envs import parallel_env, road_parallel_env
-
-    return {**vars(parallel_env), **vars(road_parallel_env)}[kind](*given, **others)
 
 
 MANY: dict[str, Callable[..., Any]] = {

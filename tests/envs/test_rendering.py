@@ -22,7 +22,6 @@ from charms_bench.envs.rendering import SHOWN, frame_of
 from charms_bench.envs.rendering import moment_of as present
 from charms_bench.episodes.animation import moment_of
 from charms_bench.episodes.ego_view import ego_view
-from charms_bench.errors import InputError
 from charms_bench.world.actions import FASTER, LANE_LEFT
 from charms_bench.world.picture import FINE, HEADER, LINE, picture
 
@@ -164,14 +163,6 @@ def test_without_a_display_a_window_is_an_error_that_says_so() -> None:
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
     )
     assert "there is no display; use render_mode 'rgb_array'" in done.stdout
-
-
-def test_a_mode_that_does_not_exist_is_rejected() -> None:
-    with (
-        pytest.warns(UserWarning, match="not in the possible render_modes"),
-        pytest.raises(InputError, match="no render_mode 'ansi'; expected 'rgb_array' or 'human'"),
-    ):
-        made("ansi")
 
 
 def test_without_a_mode_nothing_is_drawn_and_a_warning_says_why() -> None:

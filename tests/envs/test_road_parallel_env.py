@@ -1,7 +1,6 @@
 """highway-env's intersection with several agents as a PettingZoo environment."""
 
 import warnings
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 
 from charms_bench.envs.road_parallel_env import RoadParallelEnv
 from charms_bench.errors import InputError
-from charms_bench.testing.stock_roads import unchanged_idm
 
 with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
     # Its first module imports a game of PettingZoo's in a way that PettingZoo has deprecated.
@@ -20,12 +18,6 @@ with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
 
 NAME = "intersection-multi-agent-v1"
 IDLE, FASTER = 1, 2
-
-
-@pytest.fixture(autouse=True)
-def idm_of_highway_env() -> Iterator[None]:
-    with unchanged_idm():
-        yield
 
 
 def test_pettingzoos_own_tests_have_nothing_to_say() -> None:

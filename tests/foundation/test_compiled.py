@@ -1,11 +1,14 @@
 """Compiled functions of a scene: they see the arrays of the scene that they are given."""
 
+import errno
 import gc
 import os
 import pickle
+import runpy
 import subprocess
 import sys
 import weakref
+from collections.abc import Callable
 from copy import deepcopy
 from itertools import product
 from pathlib import Path
@@ -13,7 +16,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from numba.core.caching import InTreeCacheLocator, UserWideCacheLocator
+from numba.core.caching import IndexDataCacheFile, InTreeCacheLocator, UserWideCacheLocator
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
@@ -97,44 +100,50 @@ print(total(5))
 """
 
 
-def _run(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Runs a program that compiles a function, whose cache is in `folder`."""
-    (folder / "program.py").write_text(SUM)
-    return subprocess.run(
-        [sys.executable, folder / "program.py"],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache"), **environment},
-    )
+Run = Callable[[str], str]
 
 
-def test_a_damaged_file_of_the_cache_is_compiled_again(tmp_path: Path) -> None:
-    assert _run(tmp_path).stdout == "10\n"
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs a program that compiles functions, kept in the folder `cache`; returns its output."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+
+    def run(program: str) -> str:
+        (tmp_path / "program.py").write_text(program)
+        runpy.run_path(str(tmp_path / "program.py"), run_name="program")
+        return "".join(capsys.readouterr())
+
+    return run
+
+
+def test_a_damaged_file_of_the_cache_is_compiled_again(run: Run, tmp_path: Path) -> None:
+    assert run(SUM) == "10\n"
     for ending, length in product(("nbi", "nbc"), (0, 40)):
         (file,) = (tmp_path / "cache").rglob(f"*.{ending}")
         whole = file.read_bytes()
         file.write_bytes(whole[:length])
-        again = _run(tmp_path)
-        assert (again.stdout, again.stderr) == ("10\n", "")
+        assert run(SUM) == "10\n"
         assert len(file.read_bytes()) == len(whole)
 
 
-def test_a_cache_that_cannot_be_written_does_not_end_the_program(tmp_path: Path) -> None:
-    full = "import numba.core.caching as c, os\ndef full(*of): raise OSError(28, os.strerror(28))\n"
-    (tmp_path / "program.py").write_text(f"{full}c.IndexDataCacheFile._save_index = full\n{SUM}")
+def test_a_cache_that_cannot_be_written_does_not_end_the_program(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(IndexDataCacheFile, "_save_index", full)
+    assert run(SUM) == "10\n"
+
+
+def test_an_engine_that_may_not_be_compiled_names_the_variable() -> None:
     ran = subprocess.run(
-        [sys.executable, tmp_path / "program.py"],
+        [sys.executable, "-c", "import charms_bench.foundation.compiled"],
         capture_output=True,
         text=True,
-        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
     )
-    assert (ran.stdout, ran.stderr) == ("10\n", "")
-
-
-def test_an_engine_that_may_not_be_compiled_names_the_variable(tmp_path: Path) -> None:
-    assert "NUMBA_DISABLE_JIT is set, but the engine has to be compiled; unset it" in (
-        _run(tmp_path, NUMBA_DISABLE_JIT="1").stderr
-    )
+    assert "NUMBA_DISABLE_JIT is set, but the engine has to be compiled; unset it" in ran.stderr
 
 
 def test_code_that_cannot_be_kept_names_the_variable(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,18 +174,10 @@ print(more(np.ones(1)), twice(np.ones(1)), more(np.ones(1)))
 
 
 def test_python_and_compiled_code_call_the_same_function_also_from_the_cache(
-    tmp_path: Path,
+    run: Run, tmp_path: Path
 ) -> None:
-    (tmp_path / "program.py").write_text(BOTH)
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     for _ in range(2):
-        ran = subprocess.run(
-            [sys.executable, tmp_path / "program.py"],
-            capture_output=True,
-            text=True,
-            env=environment,
-        )
-        assert (ran.stdout, ran.stderr) == ("3.0 2.0 3.0\n", "")
+        assert run(BOTH) == "3.0 2.0 3.0\n"
     assert len(list((tmp_path / "cache").rglob("program.twice-*.nbc"))) == 2
 
 

@@ -44,13 +44,6 @@ def test_every_road_with_traffic_and_one_ego_is_in_suites() -> None:
     assert len(OF_SUITES) == 24
 
 
-def test_rows_are_the_same_again_and_with_two_workers(made: Any, tmp_path: Path) -> None:
-    again = run_file(made.path.parent / "roads.yaml", tmp_path / "again", workers=2)
-    files = sorted(path.relative_to(made.path) for path in made.path.glob("*/*.parquet"))
-    for path in files:
-        assert (made.path / path).read_bytes() == (again.path / path).read_bytes(), path
-
-
 def test_an_audit_simulates_rows_again_and_finds_a_forged_one(made: Any, tmp_path: Path) -> None:
     assert made.audit(shards=1, workers=1).verdict == "pass"
     forged = open_run(Path(shutil.copytree(made.path, tmp_path / "run")))

@@ -134,7 +134,8 @@ def test_the_recorded_driver_takes_over_no_vehicle(run: Path, tmp_path: Path) ->
 
 def test_a_search_for_escapes_starts_at_the_moments_of_the_run(tmp_path: Path) -> None:
     text = SUITE.replace("duration_s: 2.0", "duration_s: 3.0")
-    finished = run_suite(load_suite(written(tmp_path, text) / "small.yaml"), tmp_path / "run")
+    suite = load_suite(written(tmp_path, text) / "small.yaml")
+    finished = run_suite(suite, tmp_path / "run", workers=1)
     cell = find_cell(finished, tmp_path, "Recorded driver", "Reactive")
     searched = _Chunk(cell, collisions(cell), BUDGET)
     assert searched._replays

@@ -46,8 +46,9 @@ def small_shards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.usefixtures("small_shards")
 def test_the_files_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
-    run(suite(), tmp_path / "one", workers=1)
+    one = run(suite(), tmp_path / "one", workers=1)
     run(suite(), tmp_path / "two", workers=2)
+    assert next(iter(one.folder.manifest().items())) == ("format", 4)
     assert files(tmp_path / "one") == files(tmp_path / "two")
     assert len(files(tmp_path / "one")) == 2 + 2 * 3 * 5  # manifest, lock; 2 cells of 3 shards
 
@@ -184,11 +185,6 @@ def test_a_folder_of_another_format_is_rejected_and_left_alone(
     assert {path.name for path in tmp_path.iterdir()} <= {"manifest.json", ".lock"}
 
 
-def test_the_manifest_begins_with_its_format(tmp_path: Path) -> None:
-    folder = run(suite(episodes=2), tmp_path, workers=1).folder
-    assert next(iter(folder.manifest().items())) == ("format", 4)
-
-
 @pytest.mark.usefixtures("small_shards")
 def test_sums_do_not_depend_on_how_many_shards_are_read_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -235,27 +231,22 @@ def test_rows_of_other_episodes_are_neither_written_nor_read(tmp_path: Path) -> 
 
 
 @pytest.mark.usefixtures("small_shards")
-def test_an_agent_that_fails_late_costs_none_of_the_finished_shards(tmp_path: Path) -> None:
-    egos = [{"agent": "idm_mobil"}, {"agent": "outside_raising"}]
-    left = run(suite(egos=egos), tmp_path, workers=1)
-    said = "outside_raising in idm_mobil: agent 'outside_raising', episode 0, step 0: raised"
-    assert [index for index, error in left.failed.items() if said in str(error)] == [1]
-    assert len(list((tmp_path / "episodes").glob("000-*.parquet"))) == 3
-    assert not list(tmp_path.rglob("*.partial"))
-
-
-@pytest.mark.usefixtures("small_shards")
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_cell_that_fails_leaves_the_others_alone(tmp_path: Path, workers: int) -> None:
-    egos = [{"agent": "outside_raising"}, {"agent": "idm_mobil"}]
+@pytest.mark.parametrize(("workers", "failing"), [(1, 0), (1, 1), (2, 0)])
+def test_a_cell_that_fails_leaves_the_others_alone(
+    tmp_path: Path, workers: int, failing: int
+) -> None:
+    egos = [{"agent": "idm_mobil"}]
+    egos.insert(failing, {"agent": "outside_raising"})
     notices: list[str] = []
     left = run(suite(egos=egos), tmp_path, workers=workers, notice=notices.append)
     assert [cell.agent for cell in left.cells()] == ["idm_mobil"]
+    assert len(list((tmp_path / "episodes").glob(f"00{1 - failing}-*.parquet"))) == 3
+    assert not list(tmp_path.rglob("*.partial"))
     (said,) = notices  # once, though the cell has three shards
     assert said.startswith("outside_raising in idm_mobil: agent 'outside_raising', episode ")
     with pytest.raises(RunFolderError, match="0 of 25 episodes of outside_raising"):
         open_finished(tmp_path)
-    assert set(run(suite(egos=egos), tmp_path, workers=1).failed) == {0}
+    assert set(run(suite(egos=egos), tmp_path, workers=1).failed) == {failing}
 
 
 def test_a_run_of_which_every_cell_fails_has_no_rows(tmp_path: Path) -> None:
