@@ -145,10 +145,10 @@ def bounds(schema: dict[str, Any]) -> str:
         high = schema["exclusiveMaximum"] - 1
     high = None if high is None or high >= 1e9 else high
     if low == 1e-9 or schema.get("exclusiveMinimum") == 0:
-        return " above 0" if high is None else f" above 0, up to {high:,g}"
+        return " above 0" if high is None else f" above 0, up to {high:,.15g}"
     if low is None or low <= -1e9:
-        return "" if high is None else f" up to {high:,.0f}"
-    return f" from {low:,g}" + ("" if high is None else f" to {high:,.0f}")
+        return "" if high is None else f" up to {high:,.15g}"
+    return f" from {low:,g}" + ("" if high is None else f" to {high:,.15g}")
 
 
 def anchor(key: str) -> str:
@@ -193,7 +193,7 @@ def profiles() -> str:
     """The fields of a profile, and their values in each profile of the package."""
 
     def rows(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, ...]]:
-        said = meanings(model)
+        said, schema = meanings(model), model.model_json_schema()["properties"]
         for name in model.model_fields:
             if name in ("name", "idm_mobil"):
                 continue
@@ -205,9 +205,9 @@ def profiles() -> str:
                 ", ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else str(value)
                 for value in values
             )  # fmt: skip
-            yield (f"`{prefix}{name}`", *shown, said.get(name, ""))
+            yield (f"`{prefix}{name}`", kind(schema[name]), *shown, said.get(name, ""))
 
-    header = ("key", *(f"`{name}`" for name in PROFILES), "meaning")
+    header = ("key", "value", *(f"`{name}`" for name in PROFILES), "meaning")
     return table(header, [*rows(Profile, ""), *rows(IdmMobilConstants, "idm_mobil.")])
 
 
