@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from charms_bench.cli.terminal import print_only_json
-from charms_bench.foundation.files import absolute
+from charms_bench.foundation.files import absolute, reject_foreign
 
 EVALUATE = "Evaluate"
 FAILURES = "Find and explain failures"
@@ -65,13 +65,15 @@ Recordings = Annotated[
 
 
 def drawable(path: Path | None) -> Path | None:
-    """The absolute path of a figure; raises an `InputError` if no figure can have its name."""
+    """The absolute path of a figure; an `InputError` if it cannot be written there."""
     if path is None:
         return None
     from charms_bench.report.figures.drawing import check_figure
 
     check_figure(path)
-    return absolute(path)
+    path = absolute(path)
+    reject_foreign(path)
+    return path
 
 
 FigurePath = Annotated[

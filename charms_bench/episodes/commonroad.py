@@ -15,7 +15,7 @@ import numpy as np
 
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
-from charms_bench.foundation.files import write_bytes
+from charms_bench.foundation.files import reject_foreign, write_bytes
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.plan import Plan
 from charms_bench.world.road import position, width_at
@@ -44,9 +44,10 @@ _MARKINGS = {NO_LINE: "no_marking", STRIPED: "dashed", SOLID: "solid", SOLID_LIN
 
 
 def check_commonroad(path: Path) -> None:
-    """Raises an `InputError` if a file name does not end in `.xml`."""
+    """Raises an `InputError` for a name that does not end in `.xml`, or a scenario of others."""
     if path.suffix != ".xml":
         raise InputError(f"{path}: expected the name of a CommonRoad scenario, ending in .xml")
+    reject_foreign(path, 'author="charms-bench"')
 
 
 def write_commonroad(replay: Replay, path: Path) -> None:

@@ -15,7 +15,7 @@ from matplotlib.text import Text
 from matplotlib.typing import ColorType
 
 from charms_bench.errors import InputError
-from charms_bench.foundation.files import write_atomically
+from charms_bench.foundation.files import MARK, write_atomically
 from charms_bench.report.number import Number
 from charms_bench.world.scene import Floats
 
@@ -135,4 +135,5 @@ def save(figure: Figure, path: Path) -> None:
     take_text_as_it_is(figure)
     ending = path.suffix.lower().removeprefix(".")
     with any_letters():
-        write_atomically(path, lambda partial: figure.savefig(partial, format=ending, dpi=150))
+        options: dict[str, Any] = {"format": ending, "dpi": 150, "metadata": {"Creator": MARK}}
+        write_atomically(path, lambda partial: figure.savefig(partial, **options))

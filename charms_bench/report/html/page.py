@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from charms_bench import __version__
 from charms_bench.errors import InputError
+from charms_bench.foundation.files import reject_foreign
 from charms_bench.report.figures.timelines import LEFT, RIGHT
 from charms_bench.report.html.sections import Section
 from charms_bench.report.html.table import TEMPLATES, definition_ids, environment
@@ -21,9 +22,10 @@ SCRIPTS = ("tables.js", "player.js", "controls.js")
 
 
 def check_page(path: Path) -> None:
-    """Raises an `InputError` for a file name that does not end in `.html`."""
+    """Raises an `InputError` for a name that does not end in `.html`, or a page of others."""
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path}: expected a name that ends in .html")
+    reject_foreign(path, '<meta name="generator" content="charms-bench')
 
 
 def render(
