@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import polars as pl
@@ -79,7 +80,8 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
 
 def _stored_sets(path: Path, suite: Suite) -> Sequence[MetricSet]:
     """The metric sets that a table was computed with, which `rescore` may have chosen."""
-    table = read_table(path, long_schema(suite.with_road(KEYS), LONG))
+    read = partial(read_file, limit=TABLE_LIMIT_BYTES)  # also where somebody has changed it
+    table = read_table(path, long_schema(suite.with_road(KEYS), LONG), read)
     labels = table["metric_set"].unique(maintain_order=True)
     texts = []
     for label in labels:

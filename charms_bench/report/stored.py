@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -108,9 +108,11 @@ def read_written(path: Path) -> bytes:
     return data
 
 
-def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+def read_table(
+    path: Path, schema: Mapping[str, pl.DataType], read: Callable[[Path], bytes] = read_written
+) -> pl.DataFrame:
     """A CSV file with exactly these columns; a `RunFolderError` for others. See `read_csv`."""
-    table = read_csv(path, schema)
+    table = read_csv(path, schema, read)
     if table.columns != list(schema):
         raise RunFolderError(
             f"{path}: expected the columns {', '.join(schema)}, found {', '.join(table.columns)}"
@@ -118,12 +120,16 @@ def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
     return table
 
 
-def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.DataFrame:
+def read_csv(
+    path: Path,
+    schema: Mapping[str, pl.DataType] | None = None,
+    read: Callable[[Path], bytes] = read_written,
+) -> pl.DataFrame:
     """A CSV file that can be shown; a number that is not finite becomes null.
 
     A `RunFolderError` if it cannot be read, has changed, or has control characters in it.
     """
-    data = read_written(path)
+    data = read(path)
     if is_compressed(data):
         raise RunFolderError(f"{path}: is compressed; expected the text of a CSV file")
     try:
