@@ -162,7 +162,7 @@ def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
     what = _plain(first["msg"])
     # A problem between several fields is not explained by printing all of them.
     is_whole = isinstance(first["input"], dict) and len(first["input"]) > 3
-    if first["type"] not in ("missing", "unknown_key") and not is_whole:
+    if first["type"] not in ("missing", "unknown_key", "given_twice") and not is_whole:
         what = f"{what}, found {found}"
     others = [f"{'.'.join(map(str, each['loc']))}: {_plain(each['msg'])}" for each in problems[1:3]]
     others += [f"{len(problems) - 3} more"] if len(problems) > 3 else []

@@ -61,10 +61,10 @@ def bounds(schema: dict[str, Any]) -> str:
         high = schema["exclusiveMaximum"] - 1
     high = None if high is None or high >= 1e9 else high
     if low == 1e-9 or schema.get("exclusiveMinimum") == 0:
-        return " above 0" if high is None else f" above 0, up to {high:,g}"
+        return " above 0" if high is None else f" above 0, up to {high:,.15g}"
     if low is None or low <= -1e9:
-        return "" if high is None else f" up to {high:,.0f}"
-    return f" from {low:,g}" + ("" if high is None else f" to {high:,.0f}")
+        return "" if high is None else f" up to {high:,.15g}"
+    return f" from {low:,g}" + ("" if high is None else f" to {high:,.15g}")
 
 
 def anchor(key: str) -> str:

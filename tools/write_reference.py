@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import typer
-from model_tables import ROAD_KEYS, SUITE_KEYS, described, meanings, sections, table
+from model_tables import ROAD_KEYS, SUITE_KEYS, described, kind, meanings, sections, table
 from pydantic import BaseModel
 from typer.cli import get_docs_for_click
 
@@ -37,7 +37,7 @@ def profiles() -> str:
     """The fields of a profile, and their values in each profile of the package."""
 
     def rows(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, ...]]:
-        said = meanings(model)
+        said, schema = meanings(model), model.model_json_schema()["properties"]
         for name in model.model_fields:
             if name in ("name", "idm_mobil"):
                 continue
@@ -49,9 +49,9 @@ def profiles() -> str:
                 ", ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else str(value)
                 for value in values
             )  # fmt: skip
-            yield (f"`{prefix}{name}`", *shown, said.get(name, ""))
+            yield (f"`{prefix}{name}`", kind(schema[name]), *shown, said.get(name, ""))
 
-    header = ("key", *(f"`{name}`" for name in PROFILES), "meaning")
+    header = ("key", "value", *(f"`{name}`" for name in PROFILES), "meaning")
     return table(header, [*rows(Profile, ""), *rows(IdmMobilConstants, "idm_mobil.")])
 
 

@@ -19,6 +19,7 @@ from charms_bench.cli.terminal import (
     app,
     ended_by_second_signal,
     err,
+    exits_are_exceptions,
     say,
 )
 from charms_bench.errors import CharmsBenchError, InputError, named
@@ -112,7 +113,7 @@ def main() -> None:
         _check_environment()
         _use_own_style()
         try:
-            with ended_by_second_signal():
+            with ended_by_second_signal(), exits_are_exceptions():
                 app(_arguments(sys.argv[1:]))
         finally:
             sys.stdout.flush()  # not when Python exits, where an error would be lost

@@ -8,7 +8,7 @@ from typer import Argument, Option
 
 from charms_bench.cli.terminal import print_only_json
 from charms_bench.errors import InputError
-from charms_bench.foundation.files import absolute, check_ending
+from charms_bench.foundation.files import absolute, check_ending, reject_foreign
 
 EVALUATE = "Evaluate"
 FAILURES = "Find and explain failures"
@@ -66,7 +66,7 @@ Recordings = Annotated[
 def ending_in(*endings: str, is_new: bool = False) -> Callable[[Path | None], Path | None]:
     """Makes the path of an option absolute; an `InputError` if its name has another ending.
 
-    If it `is_new`, a file that exists is an error, too.
+    A file that exists is an error if it `is_new`, or if others have written it.
     """
 
     def checked(path: Path | None) -> Path | None:
@@ -75,7 +75,9 @@ def ending_in(*endings: str, is_new: bool = False) -> Callable[[Path | None], Pa
         check_ending(path, *endings)
         if is_new and path.exists():
             raise InputError(f"{path}: exists already; expected the name of a new file")
-        return absolute(path)
+        path = absolute(path)
+        reject_foreign(path)
+        return path
 
     return checked
 

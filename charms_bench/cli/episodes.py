@@ -19,13 +19,15 @@ from charms_bench.cli.terminal import (
     shown,
 )
 from charms_bench.errors import InputError
-from charms_bench.foundation.files import write_bytes
+from charms_bench.foundation.files import reject_foreign, write_bytes
 from charms_bench.foundation.words import counted
 
 if TYPE_CHECKING:
     from charms_bench.api import Run
     from charms_bench.episodes.edge_cases import EdgeCase
 
+BESIDE = ".trajectories.parquet"
+"""What ends the name of the table beside an animation of the user's choice."""
 Episode = Annotated[
     int, Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
 ]
@@ -176,14 +178,15 @@ def replay(
     from charms_bench.runs.lock import folder_in
     from charms_bench.runs.shard import in_parquet
 
+    if output is not None:
+        reject_foreign(output.with_suffix(BESIDE))
     opened = charms_bench.open_run(run, suite_folder)
     replayed = opened.replay(episode, ego, traffic, road, ego_index)
     cell = replayed.cell
     which = "" if replayed.ego_index is None else f"-ego-{replayed.ego_index}"
     name = f"{name_of(opened.suite, replayed.cell)}-{episode}{which}.gif"
     animation = output or folder_in(opened.path, "replays") / name
-    # Beside a file of the user's choice, this name is no other file's.
-    trajectories = animation.with_suffix(".trajectories.parquet" if output else ".parquet")
+    trajectories = animation.with_suffix(BESIDE if output else ".parquet")
     what = replayed.what_happened()
     if commonroad is not None:  # first, because it is not possible of every episode
         replayed.write_commonroad(commonroad)

@@ -24,7 +24,6 @@ from charms_bench.cli.terminal import (
     shown,
 )
 from charms_bench.errors import InputError, RunFolderError
-from charms_bench.foundation.files import read_file
 from charms_bench.foundation.words import counted
 
 AllMetrics = Annotated[
@@ -210,6 +209,14 @@ def show(
     table, *others = stored_tables(run, suite).each()
     if metrics:
         table, others = table.select(*metrics), []
+    remarks = []
+    try:
+        opened = charms_bench.open_run(run)
+        folder.reject_damaged(folder.shards(suite))
+        remarks = [] if as_json else [*opened.interfaces(), *opened.remarks()]
+    except RunFolderError as error:  # tables are shown even where their rows are missing
+        if folder.finished():
+            note(str(error))
     if as_json:
         facts = {name: getattr(suite, name) for name in ("suite", "title", "episodes", "seed")}
         tables = {each.name: each.frame().to_dicts() for each in (table, *others)}
@@ -219,18 +226,13 @@ def show(
     say(f"{suite.title or suite.suite}\n{cells}, seeds from {suite.seed:,}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out().print(drawn(each, out().width))
-    try:
-        opened = charms_bench.open_run(run)
-        if remarks := [*opened.interfaces(), *opened.remarks()]:
-            say("\n".join(["", *remarks]))
-    except RunFolderError as error:  # tables are shown even where their rows are missing
-        if folder.finished():
-            note(str(error))
+    if remarks:
+        say("\n".join(["", *remarks]))
 
 
 def _print_rare(folder: Path, as_json: bool) -> None:
     """The tables that `rare` has written."""
-    from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_csv
+    from charms_bench.report.stored import read_csv, read_written
 
     paths = sorted((folder / "tables").glob("*.csv"))
     if not paths:
@@ -238,8 +240,7 @@ def _print_rare(folder: Path, as_json: bool) -> None:
     if as_json:
         end_with_json({path.stem: read_csv(path).to_dicts() for path in paths})
     for path in paths:
-        text = read_file(path.with_suffix(".md"), TABLE_LIMIT_BYTES)
-        say(text.decode(errors="replace").rstrip())
+        say(read_written(path.with_suffix(".md")).decode(errors="replace").rstrip())
 
 
 def _print_search(folder: Path, as_json: bool) -> None:

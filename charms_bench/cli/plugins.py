@@ -19,7 +19,7 @@ from charms_bench.cli.terminal import (
     shown,
 )
 from charms_bench.errors import InputError, suggestion
-from charms_bench.foundation.files import absolute, is_same_file
+from charms_bench.foundation.files import absolute, is_same_file, reject_foreign
 from charms_bench.foundation.words import counted
 
 
@@ -237,6 +237,7 @@ def export(
     for checkpoint, output in outputs.items():
         if is_same_file(checkpoint, output):
             raise InputError(f"{checkpoint}: is also the file to write; choose another name")
+        reject_foreign(output)
     try:
         seen = None if observation is None else named_observation(value_of(observation))
     except ValueError as error:

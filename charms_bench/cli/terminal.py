@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from contextvars import ContextVar
 from functools import cache
+from os import _exit  # see `exits_are_exceptions`
 from pathlib import Path
 from select import select
 from shlex import quote
@@ -209,7 +210,27 @@ def _end_at_second(arrived: int) -> None:
         if len(signals) > 1 and until is None:
             until = time.monotonic() + END_S
     os.write(2, b"interrupted again; ended at once\n")
-    os._exit(128 + signals[-1])  # its workers notice
+    _exit(128 + signals[-1])  # its workers notice
+
+
+@contextmanager
+def exits_are_exceptions() -> Iterator[None]:
+    """Lets `os._exit` raise a `SystemExit` within, so that a plugin that calls it is named.
+
+    Otherwise it ends a command in silence, with any exit code.
+    """
+    os._exit = sys.exit  # type: ignore[assignment]  # it leaves no frame in tracebacks
+    try:
+        yield
+    finally:
+        _end_for_good()
+
+
+def _end_for_good() -> None:
+    os._exit = _exit
+
+
+os.register_at_fork(after_in_child=_end_for_good)  # copies of this process end so
 
 
 def print_table(table: "Table", stacked: bool = False) -> None:

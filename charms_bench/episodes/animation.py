@@ -9,7 +9,7 @@ from PIL import Image
 
 from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
-from charms_bench.foundation.files import check_ending, write_atomically
+from charms_bench.foundation.files import MARK, check_ending, write_atomically
 from charms_bench.world.picture import AHEAD_M, BRAKE, INDICATOR, WRECK, Moment, picture
 from charms_bench.world.tracks import Motion
 
@@ -36,7 +36,7 @@ def animate(replay: Replay, path: Path, caption: str = "") -> None:
     moments = np.round(replay.t_s * 100).astype(int) * 10
     durations = [*np.diff(moments).tolist(), round(HOLD_S * 1000)]
     save = partial(next(pictures).save, format="GIF", save_all=True, append_images=pictures)
-    write_atomically(path, partial(save, duration=durations, loop=0))
+    write_atomically(path, partial(save, duration=durations, loop=0, comment=MARK))
 
 
 def moment_of(replay: Replay, view: EgoView, frame: int) -> Moment:

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from charms_bench.episodes.replay import Replay
-from charms_bench.foundation.files import check_ending, write_bytes
+from charms_bench.foundation.files import check_ending, reject_foreign, write_bytes
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.plan import Plan
 from charms_bench.world.road import position, width_at
@@ -46,6 +46,7 @@ _MARKINGS = {NO_LINE: "no_marking", STRIPED: "dashed", SOLID: "solid", SOLID_LIN
 def write_commonroad(replay: Replay, path: Path) -> None:
     """Writes an episode, one time step per simulation step; see `ShownReplay.write_commonroad`."""
     check_ending(path, ENDING)
+    reject_foreign(path)
     root = Element(
         "commonRoad",
         commonRoadVersion="2020a",

@@ -1,8 +1,9 @@
 """Field types of validated models, such as suites."""
 
+import json
 import operator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import (
     AfterValidator,
@@ -17,12 +18,25 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.errors import suggestion
+from charms_bench.foundation.files import given_once
 
 # Within these bounds, no quantity of a simulation overflows.
 Positive = Annotated[float, Field(ge=1e-9, le=1e9)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9)]
 Finite = Annotated[float, Field(ge=-1e9, le=1e9)]
 
+# Larger numbers are of no road and no vehicle, but mistakes, such as of the unit.
+Distance = Annotated[float, Field(ge=1e-9, le=1e6)]
+"""m."""
+Duration = Annotated[float, Field(ge=1e-9, le=1e5)]
+"""s."""
+Speed = Annotated[float, Field(ge=1e-9, le=1000)]
+"""m/s."""
+Velocity = Annotated[float, Field(ge=-1000, le=1000)]
+"""m/s, also backwards."""
+Acceleration = Annotated[float, Field(ge=1e-9, le=1000)]
+"""m/s2."""
+Ratio = Annotated[float, Field(ge=1e-9, le=1000)]
 
 UNLESS_EMPTY = Field(exclude_if=operator.not_)
 """Of a field that is younger than stored suites: without a value, it is not written, so that they
@@ -53,6 +67,18 @@ class FrozenModel(BaseModel):
             kind = PydanticCustomError("unknown_key", "{what}", {"what": what})
             problems.append(InitErrorDetails(type=kind, loc=(key,), input=data[key]))
         raise ValidationError.from_exception_data(cls.__name__, problems)
+
+    @classmethod
+    def model_validate_json(cls, json_data: str | bytes | bytearray, **options: Any) -> Self:
+        """As pydantic's own, which takes the last value of a name that is given twice."""
+        found = super().model_validate_json(json_data, **options)
+        try:
+            json.loads(json_data, object_pairs_hook=given_once)
+        except ValueError as error:
+            kind = PydanticCustomError("given_twice", "{what}", {"what": str(error)})
+            problem = InitErrorDetails(type=kind, input=None)
+            raise ValidationError.from_exception_data(cls.__name__, [problem]) from error
+        return found
 
 
 def _printable(text: str) -> str:

@@ -37,6 +37,16 @@ def check_ending(path: Path, *endings: str) -> None:
         raise InputError(f"{path}: expected a name that ends in {', '.join(endings)}")
 
 
+MARK = "charms-bench"
+"""What the files have in them that commands write where users say."""
+_PAGE = '<meta name="generator" content="charms-bench'
+_MARKS = {
+    **dict.fromkeys((".html", ".htm"), _PAGE),
+    ".xml": 'author="charms-bench"',
+    ".onnx": "decision_hz",  # a key of the metadata
+    ".parquet": "target_lane",  # a column of trajectories
+}
+"""What those have instead whose name ends so."""
 PARTIAL = r"\..+\.[0-9]+\.partial"
 """The name of a file that is being written; see `write_atomically`."""
 
@@ -72,6 +82,25 @@ def read_file(path: Path, limit: int) -> bytes:
         raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
 
 
+_OUTPUT_LIMIT_BYTES = 2**30
+
+
+def reject_foreign(path: Path) -> None:
+    """Raises an `InputError` if something without the mark of what we write is at a path."""
+    mark = _MARKS.get(path.suffix.lower(), MARK)
+    try:
+        if mark.encode() in read_limited(path, _OUTPUT_LIMIT_BYTES):
+            return
+    except FileNotFoundError:
+        return
+    except OSError:
+        pass  # a folder, a pipe, or a file that we may not read
+    raise InputError(
+        f"{path}: already exists, and charms-bench has not written it; delete it, or choose "
+        "another name"
+    )
+
+
 _CONTAINERS_LIMIT = 2**20
 """Lists and objects of a JSON text; an empty list takes twenty times its size in memory."""
 
@@ -85,12 +114,13 @@ def json_of(data: bytes, **options: Any) -> Any:
     if data.count(b"[") + data.count(b"{") > _CONTAINERS_LIMIT:
         raise ValueError(f"it has more than {_CONTAINERS_LIMIT:,} lists and objects")
     try:
-        return json.loads(data, object_pairs_hook=_given_once, **options)
+        return json.loads(data, object_pairs_hook=given_once, **options)
     except RecursionError as error:
         raise ValueError("it is nested too deep") from error
 
 
-def _given_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def given_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of a JSON text; raises a `ValueError` if it gives a name twice."""
     found: dict[str, Any] = {}
     for name, value in pairs:
         if name in found:

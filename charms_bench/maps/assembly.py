@@ -1,5 +1,6 @@
 """Makes a road map of what an importer has found."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +38,7 @@ def assembled(draft: Draft, name: str) -> RoadMap:
     if not kept:
         reasons = "; ".join(f"{count} {reason}" for reason, count in draft.left_out.items())
         raise MapError(f"has no lane on which cars drive ({reasons or 'it has no lanes'})")
-    _check(draft, kept)
+    check_lanes(kept, draft.where)
     origin = _origin(kept)
     roads = [_moved(road, origin) for road in kept]
     links, bridges, gaps = bridged(draft, roads)
@@ -123,11 +124,14 @@ def _without_tiny(draft: Draft) -> list[MapRoad]:
     return [road for road in draft.roads if road.lanes[0].id not in gone]
 
 
-def _check(draft: Draft, roads: list[MapRoad]) -> None:
-    """Raises a `MapError` for lanes that no map has, from wrong numbers."""
+def check_lanes(roads: Iterable[MapRoad], named: Mapping[str, str]) -> None:
+    """Raises a `MapError` for lanes that no map has, from wrong numbers.
+
+    `named` is what messages call a lane, by its id.
+    """
     total = 0.0
     for lane in (lane for road in roads for lane in road.lanes):
-        points, where = lane.points, draft.where[lane.id]
+        points, where = lane.points, named[lane.id]
         if not (np.isfinite(points).all() and np.abs(points).max() <= LARGEST):
             raise MapError(f"{where}: has a point beyond {LARGEST:g} m")
         along = lengths_of(points)

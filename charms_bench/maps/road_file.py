@@ -9,6 +9,7 @@ from pydantic import Field, ValidationError
 
 from charms_bench.errors import MapError, first_problem
 from charms_bench.foundation.fields import (
+    Duration,
     Finite,
     FrozenModel,
     Line,
@@ -16,6 +17,7 @@ from charms_bench.foundation.fields import (
     Positive,
 )
 from charms_bench.foundation.files import read_limited, write_bytes
+from charms_bench.maps.assembly import WIDEST_LANE_M, check_lanes
 from charms_bench.maps.bridging import touch
 from charms_bench.maps.conflicts import conflicts_of
 from charms_bench.maps.road_map import (
@@ -40,7 +42,8 @@ Point = Annotated[tuple[Finite, Finite], Field(strict=False)]
 Numbers = Annotated[tuple[Finite, ...], Field(strict=False)]
 Pairs = Annotated[tuple[Line, Line], Field(strict=False)]
 Names = Annotated[tuple[Line, ...], Field(strict=False)]
-Phase = Annotated[tuple[Positive, Literal["green", "red"]], Field(strict=False)]
+Width = Annotated[float, Field(ge=0, le=WIDEST_LANE_M)]
+Phase = Annotated[tuple[Duration, Literal["green", "red"]], Field(strict=False)]
 
 
 class _Lane(FrozenModel):
@@ -64,12 +67,12 @@ class PolylineLane(_Lane):
     """To the right of x."""
     z: Numbers = ()
     """Heights; without them, 0."""
-    width: Annotated[tuple[NonNegative, ...], Field(strict=False, min_length=2)]
+    width: Annotated[tuple[Width, ...], Field(strict=False, min_length=2)]
     """Of the lane at each point."""
 
 
 class _ExactLane(_Lane):
-    width: NonNegative = 4.0
+    width: Width = 4.0
     """m."""
     z: Point = (0.0, 0.0)
     """Heights of the start and the end, m."""
@@ -130,7 +133,8 @@ class FileRoad(FrozenModel):
     end: Annotated[Line, Field(min_length=1)]
     """The node at which it ends, and at which the roads that follow start."""
     lanes: Annotated[tuple[FileLane, ...], Field(strict=False, min_length=1)]
-    """From the left to the right: neighbours in this list are neighbours on the road."""
+    """From the left to the right: neighbours in this list are neighbours on the road. A lane is at
+    most 1,000 km long, all lanes together 100,000 km."""
     junction: Line = ""
     """The junction that the road is in."""
     roundabout: bool = False
@@ -358,6 +362,7 @@ def _check(file: RoadFile, roads: tuple[MapRoad, ...]) -> None:
     """Raises a `MapError` if the parts of a file do not fit together."""
     road_of: dict[str, MapRoad] = {}
     lane_of: dict[str, MapLane] = {}
+    place_of: dict[str, str] = {}
     seen: dict[tuple[str, str], int] = {}
     for k, road in enumerate(roads):
         if seen.setdefault((road.start, road.end), k) != k:
@@ -369,6 +374,8 @@ def _check(file: RoadFile, roads: tuple[MapRoad, ...]) -> None:
             if lane.id in road_of:
                 raise MapError(f"roads.{k}.lanes.{n}.id: another lane is named {lane.id!r}")
             road_of[lane.id], lane_of[lane.id] = road, lane
+            place_of[lane.id] = f"roads.{k}.lanes.{n}"
+    check_lanes(roads, place_of)
     for k, road in enumerate(roads):
         for n, lane in enumerate(road.lanes):
             for name in lane.successors:

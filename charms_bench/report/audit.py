@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import polars as pl
@@ -13,7 +14,7 @@ from charms_bench.foundation.words import counted
 from charms_bench.metrics import SCENARIOS, MetricSet
 from charms_bench.people.reference import Reference, read_references
 from charms_bench.report import run_files
-from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_table
+from charms_bench.report.stored import SUMS, TABLE_LIMIT_BYTES, read_table
 from charms_bench.report.suite_table import KEYS, LONG, matrices
 from charms_bench.report.table import Column, Row, Table, long_schema
 from charms_bench.runs.audit_finding import VERDICTS, Finding, Verdict
@@ -68,7 +69,7 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     if suite.references:
         unknown |= {f"{suite.suite}-realism.{kind}" for kind in ("csv", "md")}
     for path in sorted((folder / "tables").glob("*")):
-        if path.name not in expected and path.name not in unknown:
+        if path.name not in {*expected, *unknown, SUMS}:
             is_suites = re.fullmatch(rf"{suite.suite}(-[a-z]+)?\.(csv|md)", path.name)
             what = "is not a table of this suite"
             verdict: Verdict = wrong if is_suites else "fail"
@@ -79,7 +80,8 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
 
 def _stored_sets(path: Path, suite: Suite) -> Sequence[MetricSet]:
     """The metric sets that a table was computed with, which `rescore` may have chosen."""
-    table = read_table(path, long_schema(suite.with_road(KEYS), LONG))
+    read = partial(read_file, limit=TABLE_LIMIT_BYTES)  # also where somebody has changed it
+    table = read_table(path, long_schema(suite.with_road(KEYS), LONG), read)
     labels = table["metric_set"].unique(maintain_order=True)
     texts = []
     for label in labels:

@@ -1,6 +1,7 @@
 """Writes the tables and figures of a run into its folder."""
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from charms_bench.report.markdown import document, markdown, without_html
 from charms_bench.report.pairs_table import guess_summary, pairs_table
 from charms_bench.report.preventable_table import preventable_table
 from charms_bench.report.realism_table import TITLE, realism_table
+from charms_bench.report.stored import SUMS, sums_in
 from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows, TrafficCounts
@@ -69,7 +71,7 @@ def write_run(
     if len(cells) > 1:
         save(draw_tradeoff(table, tradeoff_of(suite)), figures / f"{name}-tradeoff.png")
     if matrix := matrices(table):
-        write_bytes(folder / "tables" / f"{name}-matrix.md", matrix_page(matrix))
+        write_files(folder, {f"{name}-matrix.md": matrix_page(matrix)})
         save(draw_matrices(matrix), figures / f"{name}-matrix.png")
     if references:
         for quantity in TITLE:
@@ -122,10 +124,18 @@ def matrix_page(matrix: Sequence[Table]) -> bytes:
 
 def write_table(folder: Path, table: Table, introduction: Sequence[str] = ()) -> Path:
     """Writes a table into a run folder, as CSV and as Markdown; returns the path of the latter."""
-    path = folder / "tables" / f"{table.name}.md"
-    for name, data in table_files(table, introduction).items():
-        write_bytes(path.with_name(name), data)
-    return path
+    write_files(folder, table_files(table, introduction))
+    return folder / "tables" / f"{table.name}.md"
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Writes files, by name, into the folder `tables` of a run, and their checksums."""
+    tables = folder / "tables"
+    for name, data in files.items():
+        write_bytes(tables / name, data)
+    new = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+    lines = (f"{sha256}  {name}\n" for name, sha256 in sorted((sums_in(tables) | new).items()))
+    write_bytes(tables / SUMS, "".join(lines).encode())
 
 
 def table_files(table: Table, introduction: Sequence[str] = ()) -> dict[str, bytes]:

@@ -1,7 +1,8 @@
 """Reads the tables that a run folder holds, instead of computing them again."""
 
+import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +24,8 @@ from charms_bench.runs.suite import Suite
 
 TABLE_LIMIT_BYTES = 2**26
 """Far more than a table has of 10,000 cells or a training of many stages."""
+SUMS = "SHA256SUMS"
+"""The file in `tables` with the checksums of its files, in the format of `sha256sum`."""
 CONTROL_CODES = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
@@ -84,9 +87,32 @@ def stored_tables(folder: Path, suite: Suite) -> RunTables:
     return RunTables(metrics, realism, pairs, preventable, drivers)
 
 
-def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+def sums_in(tables: Path) -> dict[str, str]:
+    """The SHA-256 of the files in a folder `tables`, by name; earlier versions wrote none."""
+    path = tables / SUMS
+    text = read_file(path, TABLE_LIMIT_BYTES).decode(errors="replace") if path.exists() else ""
+    return {
+        name: sha256 for sha256, _, name in (line.partition("  ") for line in text.splitlines())
+    }
+
+
+def read_written(path: Path) -> bytes:
+    """A file of `tables`; a `RunFolderError` if it does not match its checksum."""
+    data = read_file(path, TABLE_LIMIT_BYTES)
+    found = hashlib.sha256(data).hexdigest()
+    if sums_in(path.parent).get(path.name, found) != found:
+        raise RunFolderError(
+            f"{path}: does not match its checksum in {path.with_name(SUMS)}, so it has changed "
+            "since it was written; the command that made the folder writes it again"
+        )
+    return data
+
+
+def read_table(
+    path: Path, schema: Mapping[str, pl.DataType], read: Callable[[Path], bytes] = read_written
+) -> pl.DataFrame:
     """A CSV file with exactly these columns; a `RunFolderError` for others. See `read_csv`."""
-    table = read_csv(path, schema)
+    table = read_csv(path, schema, read)
     if table.columns != list(schema):
         raise RunFolderError(
             f"{path}: expected the columns {', '.join(schema)}, found {', '.join(table.columns)}"
@@ -94,12 +120,16 @@ def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
     return table
 
 
-def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.DataFrame:
+def read_csv(
+    path: Path,
+    schema: Mapping[str, pl.DataType] | None = None,
+    read: Callable[[Path], bytes] = read_written,
+) -> pl.DataFrame:
     """A CSV file that can be shown; a number that is not finite becomes null.
 
-    A `RunFolderError` if it cannot be read, or has control characters in it.
+    A `RunFolderError` if it cannot be read, has changed, or has control characters in it.
     """
-    data = read_file(path, TABLE_LIMIT_BYTES)
+    data = read(path)
     if is_compressed(data):
         raise RunFolderError(f"{path}: is compressed; expected the text of a CSV file")
     try:

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -84,17 +84,17 @@ def opened(
                 f"{folder} holds another {kind}: {field.removeprefix('suite.')} was {was}, now "
                 f"{now}; choose another folder with --output, or delete this one"
             )
-        for each in (folder, *(path for path in folder.glob("*") if path.is_dir())):
-            delete(each, PARTIAL)
+        places = [folder, *(each for each in folder.glob("*") if each.is_dir())]
+        hidden = (each for place in places for each in place.glob(".*"))
+        delete(each for each in hidden if re.fullmatch(PARTIAL, each.name))
         yield
 
 
-def delete(folder: Path, pattern: str, kept: Collection[str] = ()) -> None:
-    """Deletes the files of a folder whose names match, except those whose stems are kept."""
+def delete(paths: Iterable[Path]) -> None:
+    """Deletes the files among some paths."""
     try:
-        for path in sorted(folder.glob("*")):
-            is_file = path.is_file() and not path.is_symlink()
-            if is_file and re.fullmatch(pattern, path.name) and path.stem not in kept:
+        for path in paths:
+            if path.is_file() and not path.is_symlink():
                 path.unlink()
     except OSError as error:
         raise RunFolderError(f"{error.filename}: cannot be deleted: {error.strerror}") from error

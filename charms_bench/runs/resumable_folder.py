@@ -9,7 +9,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +33,7 @@ from charms_bench.runs.shard_rows import (
     problem_of_egos,
     rows_in,
 )
-from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
+from charms_bench.runs.shards import Shard, places_of, shard_named
 from charms_bench.runs.suite import UNDECIDING, Suite
 from charms_bench.runs.suite_roads import RoadEntry
 
@@ -46,15 +46,10 @@ FILE_LIMIT_BYTES = 2**30
 CHECKSUMS = "checksums"
 NETWORKS = "networks"
 """The folder of networks that the suite gives by path; each file is named by its hash."""
+AGAIN = "; run the suite again"
+"""What helps against a damaged file."""
 ROADS = "roads"
 """That of the road files and maps of the suite."""
-_WRITTEN = {
-    CHECKSUMS: rf"{NAME}\.sha256",
-    **dict.fromkeys(KINDS, rf"{NAME}\.parquet"),
-    NETWORKS: r"[0-9a-f]{64}\.onnx",
-    ROADS: r"[0-9a-f]{64}\.map",
-}
-"""The names of the files that a run writes into these folders."""
 
 
 class RunFolder:
@@ -186,8 +181,8 @@ class RunFolder:
             other = found.setdefault((shard.cell, shard.first_seed), shard)
             if other != shard:
                 raise RunFolderError(
-                    f"{path}: has the episodes of {other.name}; run the suite again, which deletes "
-                    "one of the two"
+                    f"{path}: has the episodes of {other.name}; run the suite again; if both "
+                    "stay, delete the one that no run has written"
                 )
         return tuple(found.values())
 
@@ -202,7 +197,11 @@ class RunFolder:
 
     def is_whole(self, shard: Shard) -> bool:
         """Returns whether the shard is finished, unchanged, and of its ego's episodes."""
-        return self._files(shard.name, shard) is not None
+        try:
+            self._files(shard.name, shard)
+        except RunFolderError:
+            return False
+        return True
 
     def write(self, shard: Shard, files: ShardFiles) -> None:
         """Writes a finished shard.
@@ -224,23 +223,29 @@ class RunFolder:
             if (self.path / folder).is_symlink():
                 raise RunFolderError(f"{self.path / folder}: became a link during the run")
 
-    def take(self, shards: Iterable[Shard], other: Path) -> None:
+    def take(self, shards: Iterable[Shard], other: Path, notice: Callable[[str], None]) -> None:
         """Copies the shards that another run has finished; its cells may be in another order.
 
-        Raises a `RunFolderError` if it has none of them.
+        `notice` is called with what is wrong with one that cannot be copied. A `RunFolderError` is
+        raised if none can be.
         """
         has_some = False
         for shard in shards:
             seed_and_key = shard.name.partition("-")[2]
             for path in (other / CHECKSUMS).glob(f"*-{seed_and_key}.sha256"):
-                if (files := RunFolder(other)._files(path.stem, shard)) is not None:
-                    has_some = True
-                    if not self.is_whole(shard):
-                        self.write(shard, files)
+                try:
+                    files = RunFolder(other)._files(path.stem, shard)
+                except RunFolderError as error:
+                    what = str(error).removesuffix(AGAIN)
+                    notice(f"{what}; its {counted(shard.episodes, 'episode')} are not copied")
+                    continue
+                has_some = True
+                if not self.is_whole(shard):
+                    self.write(shard, files)
         if not has_some:
             raise RunFolderError(
-                f"{other}: holds no rows of this suite; expected a run of the same version, with "
-                "the same scene, seeds and agents"
+                f"{other}: holds no rows of this suite that can be copied; expected a run of the "
+                "same version, with the same scene, seeds and agents"
             )
 
     def read(self, kind: str, shards: Iterable[Shard]) -> pl.DataFrame:
@@ -259,9 +264,7 @@ class RunFolder:
         path, checksums = self._file(kind, shard.name), self._checksums(shard.name)
         data, lines = _content(path), _content(checksums).splitlines()
         if _checksum(kind, shard.name, data) not in lines:
-            raise RunFolderError(
-                f"{path}: does not match its checksum in {checksums}; run the suite again"
-            )
+            raise RunFolderError(f"{path}: does not match its checksum in {checksums}{AGAIN}")
         rows = rows_in(data, kind, shard, path)
         if kind == "drivers" and (problem := problem_of_egos(rows, shard.ego)):
             raise RunFolderError(f"{path}: {problem}; run the suite again")
@@ -292,20 +295,33 @@ class RunFolder:
         damaged = [self._file(kind, shard.name) for kind in KINDS if found[kind] not in written]
         return damaged or [checksums] * (written != [*found.values(), b""])
 
-    def _files(self, name: str, shard: Shard) -> ShardFiles | None:
-        """Returns the files of this name if they are whole and have the rows of the shard."""
-        try:
-            paths = {kind: self._file(kind, name) for kind in KINDS}
-            files = {kind: _content(path) for kind, path in paths.items()}
-            if _content(self._checksums(name)) != _checksums(name, files):
-                return None
-            rows = {
-                kind: check_values(kind, {path: rows_in(files[kind], kind, shard, path)})
-                for kind, path in paths.items()
-            }
-        except RunFolderError:
-            return None
-        return None if problem_between(rows, shard.ego) else files
+    def reject_damaged(self, shards: Iterable[Shard]) -> None:
+        """Raises a `RunFolderError` if a file of these shards is one of `damaged_files`."""
+        for shard in shards:
+            for path in self.damaged_files(shard):
+                raise RunFolderError(f"{path}: is missing or does not match its checksum{AGAIN}")
+
+    def _files(self, name: str, shard: Shard) -> ShardFiles:
+        """Returns the files of this name.
+
+        Raises a `RunFolderError` if they are not whole, or do not have the rows of the shard.
+        """
+        paths = {kind: self._file(kind, name) for kind in KINDS}
+        files = {kind: _content(path) for kind, path in paths.items()}
+        checksums, written = self._checksums(name), _checksums(name, files).split(b"\n")
+        found = _content(checksums).split(b"\n")
+        for path, line in zip(paths.values(), written, strict=False):
+            if line not in found:
+                raise RunFolderError(f"{path}: does not match its checksum in {checksums}{AGAIN}")
+        if found != written:
+            raise RunFolderError(f"{checksums}: has other lines than those of its files{AGAIN}")
+        rows = {
+            kind: check_values(kind, {path: rows_in(files[kind], kind, shard, path)})
+            for kind, path in paths.items()
+        }
+        if what := problem_between(rows, shard.ego):
+            raise RunFolderError(f"{checksums}: {what}{AGAIN}")
+        return files
 
     def keep(self, kind: str, file: Path, sha256: str) -> None:
         """Copies a file that the suite names, so that the folder is complete.
@@ -363,11 +379,32 @@ class RunFolder:
             )
 
     def drop_others(self, shards: Iterable[Shard]) -> None:
-        """Deletes every shard that is not one of these, and every network of another run."""
-        names = {shard.name for shard in shards} | set(self.network_hashes().values())
-        names |= self.road_hashes()
-        for folder, pattern in _WRITTEN.items():
-            delete(self.path / folder, pattern, names)
+        """Deletes every shard that is not one of these, and every network and road of another run.
+
+        Users' files can have such names, too. Those that a run has written also have the hash in
+        their checksums or in their name.
+        """
+        kept, hashes, checksums = {shard.name for shard in shards}, dict[Path, str](), []
+        for name in self.finished():
+            if name not in kept and (written := self._hashes(name)):
+                hashes |= written
+                checksums.append(self._checksums(name))
+        others = {*self.network_hashes().values(), *self.road_hashes()}
+        for kind in (NETWORKS, ROADS):
+            for path in (self.path / kind).glob("*"):
+                if path.stem not in others and path == self._copy(kind, path.stem):
+                    hashes[path] = path.stem
+        delete(path for path, sha256 in hashes.items() if _sha256(path) == sha256)
+        delete(checksums)
+
+    def _hashes(self, name: str) -> dict[Path, str]:
+        """The hashes of files in the checksums of this name; empty if no run has written these."""
+        with suppress(RunFolderError):
+            text = _content(self._checksums(name)).decode(errors="replace")
+            lines = [line.split("  ", 1) for line in text.splitlines()]
+            if [line[1:] for line in lines] == [[f"{kind}/{name}.parquet"] for kind in KINDS]:
+                return {self.path / file: sha256 for sha256, file in lines}
+        return {}
 
     def _copy(self, kind: str, sha256: str) -> Path:
         return self.path / kind / f"{sha256}.{'onnx' if kind == NETWORKS else 'map'}"
@@ -386,6 +423,13 @@ def _content(path: Path) -> bytes:
         raise RunFolderError(
             f"{error.filename or path}: cannot be read: {error.strerror}; run the suite again"
         ) from error
+
+
+def _sha256(path: Path) -> str:
+    """The SHA-256 of a file; empty if it cannot be read."""
+    with suppress(OSError):
+        return hashlib.sha256(read_limited(path, FILE_LIMIT_BYTES)).hexdigest()
+    return ""
 
 
 def _checksums(name: str, files: ShardFiles) -> bytes:

@@ -101,7 +101,7 @@ def run(
             if road.file is not None:
                 folder.keep(ROADS, road.file, str(road.sha256))
         if rows is not None:
-            folder.take(tasks, rows)
+            folder.take(tasks, rows, notice)
         run = FinishedRun(suite, folder, tuple(tasks), failed)
         for index in range(len(suite.surroundings)):
             run.left_out(index)  # rejects scenarios of which none counts

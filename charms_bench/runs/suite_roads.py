@@ -7,7 +7,7 @@ import yaml
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from charms_bench.foundation.fields import UNLESS_EMPTY, Name, Positive
+from charms_bench.foundation.fields import UNLESS_EMPTY, Duration, Name
 from charms_bench.world.named_road import ENVIRONMENT, NamedRoad
 from charms_bench.world.profile import ROADS
 from charms_bench.world.scenario import Parameter
@@ -16,7 +16,7 @@ from charms_bench.world.scenario import Parameter
 class RoadEntry(NamedRoad):
     """A road of the suite; a plain text is its name."""
 
-    duration_s: Annotated[Positive | None, UNLESS_EMPTY] = None
+    duration_s: Annotated[Duration | None, UNLESS_EMPTY] = None
     """Duration of an episode, unless it ends before. By default, it is `scene.duration_s`; without
     that, the duration of the environment; and 45 s where it has none."""
     label: Name | None = None

@@ -58,7 +58,7 @@ _META_LIMIT_BYTES = 2**24
 """A hundred times the size of the file of a long recording."""
 _MARKINGS = {UPPER: "upperLaneMarkings", LOWER: "lowerLaneMarkings"}
 _RECORDING_META: Columns = {
-    "frameRate": Numbers(-1e9, 1e9, "Hz"),
+    "frameRate": Numbers(0.1, 1000, "Hz"),
     "numVehicles": Numbers(0, 1e12, whole=True),
     **dict.fromkeys(_MARKINGS.values()),
 }
@@ -132,10 +132,6 @@ def _read_recording_meta(path: Path) -> tuple[float, int | None, dict[int, Float
     if table.height != 1:
         raise DataError(f"{path}: {table.height} rows; expected one")
     row = table.row(0, named=True)
-    if row["frameRate"] <= 0:
-        raise DataError(
-            f"{path}: line 2: column 'frameRate': {row['frameRate']:g} Hz; expected more than 0"
-        )
     if row.get("numVehicles") == 0:
         raise DataError(f"{path}: line 2: column 'numVehicles': no vehicles; remove this recording")
     markings = {d: _markings(path, column, row[column] or "") for d, column in _MARKINGS.items()}

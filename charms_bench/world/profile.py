@@ -12,7 +12,16 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from charms_bench.foundation.fields import UNLESS_EMPTY, Finite, FrozenModel, NonNegative, Positive
+from charms_bench.foundation.fields import (
+    UNLESS_EMPTY,
+    Acceleration,
+    Distance,
+    Duration,
+    FrozenModel,
+    Ratio,
+    Speed,
+    Velocity,
+)
 from charms_bench.world.actions import STEPS_LIMIT
 
 
@@ -55,29 +64,29 @@ class Constants(NamedTuple):
 class IdmMobilConstants(FrozenModel):
     """IDM (Treiber et al. 2000) and MOBIL (Kesting et al. 2007) as `IDMVehicle` combines them."""
 
-    acceleration_mps2: Positive = 3.0
+    acceleration_mps2: Acceleration = 3.0
     """Desired maximum acceleration, a [COMFORT_ACC_MAX]."""
-    deceleration_mps2: Positive = 5.0
+    deceleration_mps2: Acceleration = 5.0
     """Comfortable deceleration, b [-COMFORT_ACC_MIN]."""
-    jam_distance_m: Positive = 10.0
+    jam_distance_m: Distance = 10.0
     """Distance to a stationary leader, centre to centre, s0 [DISTANCE_WANTED]."""
-    time_headway_s: Positive = 1.5
+    time_headway_s: Duration = 1.5
     """Desired time headway, T [TIME_WANTED]."""
-    exponent_low: Positive = 3.5
+    exponent_low: Ratio = 3.5
     """Smallest acceleration exponent, delta [DELTA_RANGE]."""
-    exponent_high: Positive = 4.5
+    exponent_high: Ratio = 4.5
     """Largest acceleration exponent; each driver's lies uniformly between the two."""
-    acceleration_limit_mps2: Positive = 6.0
+    acceleration_limit_mps2: Acceleration = 6.0
     """Bound of the commanded acceleration, either way [ACC_MAX]."""
-    politeness: NonNegative = 0.0
+    politeness: Annotated[float, Field(ge=0, le=1000)] = 0.0
     """Weight of the followers' accelerations in MOBIL's incentive [POLITENESS]."""
-    lane_change_gain_mps2: Finite = 0.2
+    lane_change_gain_mps2: Annotated[float, Field(ge=-1000, le=1000)] = 0.2
     """Acceleration that a lane change must gain [LANE_CHANGE_MIN_ACC_GAIN]."""
-    imposed_braking_mps2: Positive = 2.0
+    imposed_braking_mps2: Acceleration = 2.0
     """Braking that may be imposed on the new follower [LANE_CHANGE_MAX_BRAKING_IMPOSED]."""
-    lane_change_period_s: Positive = 1.0
+    lane_change_period_s: Duration = 1.0
     """Time between two considerations of a lane change [LANE_CHANGE_DELAY]."""
-    least_gap_m: Annotated[NonNegative | None, UNLESS_EMPTY] = None
+    least_gap_m: Annotated[float | None, Field(ge=0, le=1e6), UNLESS_EMPTY] = None
     """The desired gap is at least this, centre to centre. Without it, as in highway-env, vehicles
     want no gap behind a leader that is much faster, and so cut in beside others."""
 
@@ -86,54 +95,54 @@ class Profile(FrozenModel):
     """The constants of every vehicle and every scene of a suite."""
 
     name: str
-    lane_width_m: Positive = 4.0
+    lane_width_m: Annotated[float, Field(ge=0.1, le=100)] = 4.0
     """Width of every lane."""
-    road_length_m: Positive = 10_000.0
+    road_length_m: Distance = 10_000.0
     """The least length; scenes with more vehicles than fit have a longer road."""
-    speed_limit_mps: Positive
+    speed_limit_mps: Speed
     """Speed limit of the road."""
-    vehicle_length_m: Positive = 5.0
+    vehicle_length_m: Annotated[float, Field(ge=0.1, le=100)] = 5.0
     """Length of a vehicle without a type."""
-    vehicle_width_m: Positive = 2.0
+    vehicle_width_m: Annotated[float, Field(ge=0.1, le=20)] = 2.0
     """Width of a vehicle without a type."""
-    speed_min_mps: Finite
+    speed_min_mps: Velocity
     """A slower vehicle is accelerated towards this speed [MIN_SPEED]."""
-    speed_max_mps: Positive
+    speed_max_mps: Speed
     """A faster vehicle is braked towards this speed [MAX_SPEED]."""
     can_reverse: Annotated[bool, Field(exclude_if=bool)] = True
     """Whether a vehicle that brakes passes through 0 to negative speeds, as in highway-env; if not,
     it stops, and its acceleration in that simulation step is the one that stops it."""
-    tau_acceleration_s: Positive
+    tau_acceleration_s: Duration
     """Time constant of the speed controller [TAU_ACC]."""
-    tau_heading_s: Positive
+    tau_heading_s: Duration
     """Time constant of the heading controller [TAU_HEADING]."""
-    tau_lateral_s: Positive
+    tau_lateral_s: Duration
     """Time constant of the lateral position controller [TAU_LATERAL]."""
-    steering_limit_rad: Positive = 1.0471975511965976
+    steering_limit_rad: Annotated[float, Field(ge=1e-9, le=1.57)] = 1.0471975511965976
     """[MAX_STEERING_ANGLE], pi / 3."""
     lane_command_from: Literal["current_lane", "target_lane"]
     """The lane that LANE_LEFT and LANE_RIGHT refer to."""
-    target_speed_step_mps: Positive = 5.0
+    target_speed_step_mps: Speed = 5.0
     """FASTER and SLOWER change the target speed by this, unless one of the next two is given."""
     target_speed_steps_mps: Annotated[
-        tuple[Positive, ...], Field(strict=False, max_length=STEPS_LIMIT), UNLESS_EMPTY
+        tuple[Speed, ...], Field(strict=False, max_length=STEPS_LIMIT), UNLESS_EMPTY
     ] = ()
     """Changes that grow while a vehicle repeats FASTER or SLOWER: the first by which it changes its
     target speed, then the second, and so on to the last. Any other meta-action begins anew. A
     policy may have steps of its own; see `plugins.agent.Policy`."""
-    target_speed_min_mps: Finite
+    target_speed_min_mps: Velocity
     """Lowest target speed."""
-    target_speed_max_mps: Positive
+    target_speed_max_mps: Speed
     """Highest target speed."""
-    target_speeds_mps: tuple[Finite, ...] = Field(default=(), strict=False, max_length=100)
+    target_speeds_mps: tuple[Velocity, ...] = Field(default=(), strict=False, max_length=100)
     """Evenly spaced target speeds between which FASTER and SLOWER choose [target_speeds]."""
-    spawn_speed_low: Positive = 0.7
+    spawn_speed_low: Ratio = 0.7
     """Smallest initial speed of the traffic, as a proportion of the speed limit."""
-    spawn_speed_high: Positive = 0.8
+    spawn_speed_high: Ratio = 0.8
     """Largest initial speed of the traffic, as a proportion of the speed limit."""
-    ego_speed_mps: Positive
+    ego_speed_mps: Speed
     """Initial speed of the ego."""
-    ego_spacing: Positive | None = None
+    ego_spacing: Ratio | None = None
     """Spacing at which the ego spawns; by default that of the traffic, 1 / density."""
     ego_control_rate: Literal["decision", "simulation"]
     """How often the ego's steering and acceleration are computed: once per decision (zero-order

@@ -27,7 +27,7 @@ from charms_bench.foundation.arrays import Bools as Bools
 from charms_bench.foundation.arrays import Floats as Floats
 from charms_bench.foundation.arrays import Ints as Ints
 from charms_bench.foundation.compiled import Unpacked, unpacked
-from charms_bench.foundation.fields import FrozenModel, Name, Positive
+from charms_bench.foundation.fields import Duration, FrozenModel, Name, Ratio
 from charms_bench.world.candidate_lanes import CANDIDATES, neighbours_on
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.named_road import DRAWN, NamedRoad
@@ -108,7 +108,7 @@ class SceneSettings(FrozenModel):
     """Lanes of the road; lane 0 is the leftmost."""
     traffic_vehicles: Annotated[int, Field(ge=0, le=2000)] = 20
     """Vehicles around the ego at the start."""
-    density: Positive = 1.0
+    density: Ratio = 1.0
     """The distances between vehicles at the start are proportional to 1 / density."""
     ego_slots: Annotated[int, Field(ge=1)] = 6
     """How many of the first vehicles can be the ego; each is equally likely."""
@@ -117,7 +117,7 @@ class SceneSettings(FrozenModel):
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
     """Rows per second: how often the ego's decisions are recorded and, with the `ego_control_rate`
     `decision`, how often its control changes, whatever the rate of its agent."""
-    duration_s: Positive = 20.0
+    duration_s: Duration = 20.0
     """Duration of an episode, unless the ego crashes first."""
     vehicle_types: Annotated[tuple[VehicleType, ...], Field(max_length=100, strict=False)] = ()
     """Types of vehicles, which are drawn for each vehicle; if empty, all are the profile's."""

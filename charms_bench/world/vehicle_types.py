@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from charms_bench.errors import ScenarioError, suggestion
 from charms_bench.foundation.arrays import Floats
-from charms_bench.foundation.fields import UNLESS_EMPTY, Finite, FrozenModel, Name, Positive
+from charms_bench.foundation.fields import UNLESS_EMPTY, Finite, FrozenModel, Name, Positive, Speed
 from charms_bench.world.points import DECIMALS, truncated_normal
 
 TRUCK_LENGTH_M = 8.0
@@ -80,7 +80,7 @@ class VehicleType(FrozenModel):
     width_m: Width | Distribution | None = None
     """Its width; by default the profile's."""
     desired_speed_mps: (
-        Annotated[tuple[Positive, Positive], Field(strict=False), AfterValidator(_ordered)]
+        Annotated[tuple[Speed, Speed], Field(strict=False), AfterValidator(_ordered)]
         | Distribution
         | None
     ) = None

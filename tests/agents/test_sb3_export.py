@@ -147,6 +147,16 @@ def test_several_checkpoints_are_exported_to_a_folder_under_their_own_names(tmp_
     assert (twice.returncode, "have the same name" in twice.stderr) == (2, True)
 
 
+def test_only_an_exported_network_is_replaced(tmp_path: Path) -> None:
+    _, path = saved(tmp_path)
+    for _ in range(2):
+        assert charms_bench("export", path, tmp_path / "out.onnx").returncode == 0
+    (tmp_path / "out.onnx").write_bytes(b"mine")
+    answer = charms_bench("export", path, tmp_path / "out.onnx", columns=300)
+    assert (answer.returncode, (tmp_path / "out.onnx").read_bytes()) == (2, b"mine")
+    assert "out.onnx: already exists, and charms-bench has not written it" in answer.stderr
+
+
 @pytest.mark.parametrize(
     ("settings", "sizes", "activation"),
     [

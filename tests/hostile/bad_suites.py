@@ -107,7 +107,7 @@ _VALUES: tuple[tuple[str, str, Sequence[str]], ...] = (
     (BASE, "duration_s", ("many", ".nan", ".inf", "1.5e+308")),
     (BASE, "profile", (
         "nobody", "[]", "{}", "{name: charms, target_speeds_mps: [.inf, .inf]}",
-        "{name: charms, target_speeds_mps: [20.0]}",
+        "{name: charms, target_speeds_mps: [20.0]}", "{name: charms, vehicle_length_m: 1.0e+9}",
         "{name: charms, target_speeds_mps: [30.0, 20.0]}",
         "{name: charms, target_speed_steps_mps: [1.0]}",
         "{name: charms, target_speed_steps_mps: [0.25, 0.0]}",

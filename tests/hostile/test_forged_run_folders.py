@@ -17,6 +17,8 @@ from run_folders import files, sign
 import charms_bench as harness
 from charms_bench.runs.resumable_folder import RunFolder
 
+SUITES = Path(__file__).parents[2] / "suites"
+
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -172,6 +174,7 @@ def test_rows_of_another_ego_with_fitting_checksums_are_simulated_again(
 def test_a_small_file_that_would_take_gigabytes_is_rejected(name: str, folder: Path) -> None:
     bomb = b'{"a": [' + b"[]," * 2**21 + b"[]]}" if name.endswith("json") else gzip.compress(b"1")
     (folder / "run" / name).write_bytes(bomb)
+    (folder / "run" / "tables" / "SHA256SUMS").unlink()
     answer = charms_bench("show", "run", cwd=folder, columns=300)
     assert answer.returncode == 2
     what = "more than 1,048,576 lists" if name.endswith("json") else "is compressed; expected"
@@ -191,6 +194,9 @@ def test_a_folder_whose_name_is_not_utf8_has_the_same_files(whole: Path, tmp_pat
 
 def test_files_that_no_run_wrote_stay(folder: Path) -> None:
     mine = ["steps/notes.txt", ".draft.partial", "checksums/todo.sha256.old", "notes.txt"]
+    shard = f"000-000000000-{'0' * 16}"
+    mine += [f"steps/{shard}.parquet", f"checksums/{shard}.sha256", f"networks/{'0' * 64}.onnx"]
+    (folder / "run" / "networks").mkdir(exist_ok=True)
     for name in mine:
         (folder / "run" / name).write_text("mine")
     assert continued(folder) == 0
@@ -224,6 +230,56 @@ def test_a_table_that_the_suite_does_not_ask_for_is_not_read(folder: Path) -> No
     (folder / "run" / "tables" / "small-pairs.csv").write_text("We win.")
     assert charms_bench("show", "run", cwd=folder).returncode == 0
     assert charms_bench("audit", "run", "--workers", 1, cwd=folder).returncode == 1
+
+
+@pytest.mark.parametrize("words", [("show", "run"), ("report", "run", "--top", 0)])
+def test_a_table_that_was_edited_is_not_shown_until_it_is_written_again(
+    words: tuple[Any, ...], folder: Path
+) -> None:
+    table = folder / "run" / "tables" / "small.csv"
+    table.write_text(table.read_text().replace("collision_rate,0", "collision_rate,0.5", 1))
+    answer = charms_bench(*words, cwd=folder, columns=300)
+    assert (answer.returncode, answer.stdout) == (2, "")
+    assert "tables/small.csv: does not match its checksum" in answer.stderr
+    assert continued(folder) == 0
+    assert charms_bench(*words, cwd=folder).returncode == 0
+
+
+def test_rows_that_were_edited_are_named_beside_the_tables(folder: Path) -> None:
+    rows = next((folder / "run" / "steps").iterdir())
+    _where("speed", 99.0)(pl.read_parquet(rows)).write_parquet(rows)
+    said = f"{rows.name}: is missing or does not match its checksum; run the suite again"
+    shown = charms_bench("show", "run", "--json", cwd=folder)
+    assert (shown.returncode, said in shown.stderr) == (0, True)
+    reported = charms_bench("report", "run", "--top", 0, cwd=folder)
+    assert (reported.returncode, said in reported.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("my.html", ("report", "run", "--top", 0, "--output", "my.html")),
+        (
+            "my.html",
+            ("what-if", "run", 0, "--at", 1, "--agent", "human", "--output", "my.html"),
+        ),
+        ("my.gif", ("replay", "run", 0, "--output", "my.gif")),
+        ("my.trajectories.parquet", ("replay", "run", 0, "--output", "my.gif")),
+        ("my.xml", ("replay", "run", 0, "--commonroad", "my.xml")),
+        ("my.png", ("road", SUITES / "places" / "town.json", "--figure", "my.png")),
+    ],
+)
+def test_a_file_is_replaced_only_if_a_command_has_written_it(
+    name: str, words: tuple[Any, ...], folder: Path
+) -> None:
+    (folder / name).write_text("mine")
+    answer = charms_bench(*words, cwd=folder, columns=300)
+    assert f"{name}: already exists, and charms-bench has not written it" in answer.stderr
+    assert (answer.returncode, (folder / name).read_text()) == (2, "mine")
+    (folder / name).unlink()
+    for _ in range(2):
+        answer = charms_bench(*words, cwd=folder)
+        assert (answer.returncode, (folder / name).exists()) == (0, True), answer.stderr
 
 
 @pytest.mark.parametrize("place", ["", "steps", "checksums"])

@@ -150,6 +150,8 @@ IN, OUT = ("roads", 0, "lanes", 0), ("roads", 2, "lanes", 0)
             "roads.0.lanes.0.straight.end.1: Input should be a valid number",
         ),
         (change(*IN, "end", to=[0, float("nan")]), "roads.0.lanes.0.straight.end.1"),
+        (change(*IN, "start", to=[-1e8, 0]), "roads.0.lanes.0: is 1e+08 m long"),
+        (change(*IN, "width", to=101), "less than or equal to 100, found 101"),
         (change(*IN, "kind", to="spline"), "roads.0.lanes.0"),
         (change(*IN, "speed_limit", to=0), "greater than 0, found 0"),
         (change(*OUT, "end_phase", to=4), "roads.2.lanes.0: turns by 5.5708 rad"),
@@ -177,6 +179,12 @@ def test_parts_that_do_not_fit_together_are_named(
     assert what in str(error.value)
     assert str(error.value).startswith(f"{tmp_path / 'road.json'}: ")
     assert "\n" not in str(error.value)
+
+
+def test_a_name_that_is_given_twice_is_a_fault(tmp_path: Path) -> None:
+    text = json.dumps(HANDMADE).replace('"start": "b"', '"start": "x", "start": "b"')
+    with pytest.raises(MapError, match=r"twice\.json: 'start' is given twice$"):
+        read(tmp_path, text, "twice.json")
 
 
 def test_conflicts_are_looked_for_if_a_file_has_none(tmp_path: Path) -> None:

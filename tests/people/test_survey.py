@@ -81,7 +81,9 @@ def test_recordings_are_surveyed_without_any_sampler(tmp_path: Path) -> None:
 def test_a_mistake_in_a_recording_reaches_the_command(tmp_path: Path) -> None:
     result = data(write_trio(tmp_path, [Row()], rate=0))
     assert isinstance(result.exception, DataError)
-    assert "column 'frameRate': 0 Hz; expected more than 0" in str(result.exception)
+    assert "column 'frameRate': expected a number from 0.1 to 1000 Hz, found '0'" in str(
+        result.exception
+    )
 
 
 def test_a_figure_of_an_unknown_format_is_rejected(tmp_path: Path) -> None:

@@ -148,6 +148,17 @@ def test_a_check_outlives_its_plugin_and_the_plugins_threads(
     assert message in answer.stderr
 
 
+@pytest.mark.parametrize(
+    "words", [("what-if", "run", 3, "--at", 2, "--agent", "ending"), ("watch", "ending")]
+)
+def test_a_plugin_that_ends_its_process_is_named(home: Path, words: tuple[object, ...]) -> None:
+    charms_bench("run", "loud.yaml", "--output", "run", "--workers", 1, cwd=home)
+    answer = charms_bench(*words, cwd=home, columns=300)
+    assert answer.returncode == 2
+    assert "error: agent 'ending', episode" in answer.stderr
+    assert "raised SystemExit: 0" in answer.stderr
+
+
 @pytest.mark.parametrize("ego", ["loud", "moving"], ids=["on import", "in a decision"])
 def test_a_plugin_that_changes_the_folder_moves_no_file(
     home: Path, ego: str, monkeypatch: pytest.MonkeyPatch

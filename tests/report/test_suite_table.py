@@ -95,9 +95,9 @@ def test_tables_are_written_the_same_every_time(tmp_path: Path) -> None:
         cells = [cell([20.0, 25.0, 31.0], paper={"speed_mean": 25.0}), cell([20.0], agent="b")]
         write_table(tmp_path / folder, suite_table(SUITE, cells))
     one, two = tmp_path / "one" / "tables", tmp_path / "two" / "tables"
-    for name in ("ego.csv", "ego.md"):
+    for name in ("SHA256SUMS", "ego.csv", "ego.md"):
         assert (one / name).read_bytes() == (two / name).read_bytes()
-    assert sorted(path.name for path in one.iterdir()) == ["ego.csv", "ego.md"]
+    assert sorted(path.name for path in one.iterdir()) == ["SHA256SUMS", "ego.csv", "ego.md"]
 
 
 def test_markdown_shows_the_interval_the_papers_figure_and_the_difference() -> None:

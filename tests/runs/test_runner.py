@@ -141,16 +141,21 @@ def test_rows_of_another_run_are_taken_whatever_their_cells_are(
 
 
 @pytest.mark.usefixtures("small_shards")
-def test_what_another_run_lacks_is_simulated(tmp_path: Path) -> None:
+def test_what_another_run_lacks_is_simulated_and_what_is_damaged_named(tmp_path: Path) -> None:
+    said: list[str] = []
     run(suite(episodes=15), tmp_path / "short", workers=1)  # whose second shard is half of ours
-    next((tmp_path / "short" / "counts").iterdir()).unlink()
-    taken = run(suite(), tmp_path / "taken", workers=1, rows=tmp_path / "short")
+    lost = min((tmp_path / "short" / "counts").iterdir())
+    lost.unlink()
+    rows = tmp_path / "short"
+    taken = run(suite(), tmp_path / "taken", workers=1, rows=rows, notice=said.append)
+    what = "cannot be read: No such file or directory; its 10 episodes are not copied"
+    assert said == [f"{lost}: {what}"]
     assert sum(len(cell.episodes) for cell in taken.cells()) == 50
 
 
 def test_another_run_without_rows_of_the_suite_is_rejected(tmp_path: Path) -> None:
     run(suite(episodes=2), tmp_path / "one", workers=1)
-    with pytest.raises(RunFolderError, match=r"one: holds no rows of this suite; expected"):
+    with pytest.raises(RunFolderError, match=r"one: holds no rows of this suite that can be"):
         run(suite(episodes=2, seed=7), tmp_path / "two", workers=1, rows=tmp_path / "one")
 
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.typing import ColorType
 
-from charms_bench.foundation.files import check_ending, write_atomically
+from charms_bench.foundation.files import MARK, check_ending, write_atomically
 from charms_bench.report.number import Number
 from charms_bench.world.scene import Floats
 
@@ -128,4 +128,5 @@ def save(figure: Figure, path: Path) -> None:
     take_text_as_it_is(figure)
     ending = path.suffix.lower().removeprefix(".")
     with any_letters():
-        write_atomically(path, lambda partial: figure.savefig(partial, format=ending, dpi=150))
+        options: dict[str, Any] = {"format": ending, "dpi": 150, "metadata": {"Creator": MARK}}
+        write_atomically(path, lambda partial: figure.savefig(partial, **options))

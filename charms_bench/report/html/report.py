@@ -6,7 +6,7 @@ from typing import Any
 
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.errors import InputError
-from charms_bench.foundation.files import absolute, check_ending, write_bytes
+from charms_bench.foundation.files import absolute, check_ending, reject_foreign, write_bytes
 from charms_bench.report.html.chosen import asked, choose, choose_beside, futures
 from charms_bench.report.html.episode import for_page
 from charms_bench.report.html.packed import pack
@@ -30,6 +30,7 @@ def write_report(
     Relative paths in suites start at `suite_folder`. A `CharmsBenchError` says what cannot be used.
     """
     check_ending(output, *ENDINGS)
+    reject_foreign(output)
     page_path, suite_folder = absolute(output), absolute(suite_folder)
     sources = open_sources(paths)
     runs = [source for source in sources if isinstance(source, Evaluation)]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from charms_bench.episodes.replay import Replay
 from charms_bench.episodes.what_if import WhatIf
-from charms_bench.foundation.files import check_ending, write_bytes
+from charms_bench.foundation.files import check_ending, reject_foreign, write_bytes
 from charms_bench.report.html.episode import for_page
 from charms_bench.report.html.page import ENDINGS, render
 from charms_bench.report.html.sections import what_if_section
@@ -39,6 +39,7 @@ def replay_in_frame(replay: Replay, ghosts: Replay | None = None, since: int = 1
 def write_what_if(found: WhatIf, path: Path) -> None:
     """Writes the table of two futures, and a replay with ghosts, into one HTML file."""
     check_ending(path, *ENDINGS)
+    reject_foreign(path)
     section = what_if_section(found, "futures")
     shown = for_page(f"what-if-{found.recorded.episode}", found.recorded, found.other, found.step)
     write_bytes(path, render([section], section.title, [shown], has_ghosts=True).encode())

@@ -59,6 +59,7 @@ def _opened(path: Path, keys: set[str]) -> Source:
         return OtherFolder(unused("search", keys), path, _failures(path))
     if holds(path, MANIFEST):
         run = open_finished(path)
+        run.folder.reject_damaged(run.shards)
         return Evaluation(unused(run.suite.suite, keys), path, run, stored_tables(path, run.suite))
     if holds(path, CURVES):
         return OtherFolder(unused("training", keys), path, stored_training(path))
