@@ -7,7 +7,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine import MakeEngine
+from charms_bench.engine import Cast, MakeEngine
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.endings import GOAL, RUNNING, TIME, are_off_road
 from charms_bench.errors import (
@@ -139,8 +139,8 @@ class RunningEpisodes:
         widths = (*self.kept_widths.values(), *(model.memory_width for model in models.values()))
         memory = max(widths, default=0)
         self.prescribed = [k for k, name in enumerate(self.agents) if name == PRESCRIBED]
-        of_agents = models, continuous, memory, self.prescribed, self.own_actions, self.policies
-        self.engine = engine(settings, scenes, *of_agents)
+        cast = models, continuous, memory, self.prescribed, self.own_actions, self.policies
+        self.engine = engine(settings, scenes, Cast(*cast))
 
     @property
     def scene(self) -> Scene:
