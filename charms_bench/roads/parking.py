@@ -114,6 +114,5 @@ def _start(scenes: Scenes, rows: Ints, vehicles: int) -> None:
         spots = spots[spots != lane]
         for i in range(1, vehicles):
             lane = spots[integers(state, 0, spots.size)]
-            heading = heading_at(road, lane, PARKED_AT_M)
-            put_on_lane(scenes, b, i, CONTINUOUS, lane, PARKED_AT_M, heading, 0.0)
+            put_on_lane(scenes, b, i, CONTINUOUS, lane, PARKED_AT_M, 0.0)
             spots = spots[spots != lane]

@@ -21,7 +21,7 @@ from charms_bench.foundation.compiled import (
 from charms_bench.foundation.generator import State
 from charms_bench.roads.nearby import map_of
 from charms_bench.world.profile import Constants, IdmMobilParameters
-from charms_bench.world.road import closest_lane, position
+from charms_bench.world.road import closest_lane, heading_at, position
 from charms_bench.world.road_network import Network
 
 KINDS = ("nothing", "landmark", "obstacle", "dynamical", "continuous", "commanded", "idm")
@@ -481,11 +481,11 @@ def place_near(
 
 @compiled
 def put_on_lane(
-    scenes: Scenes, b: int, i: int, kind: int, lane: int, s: float, heading: float, speed: float
+    scenes: Scenes, b: int, i: int, kind: int, lane: int, s: float, speed: float
 ) -> None:
-    """Puts a vehicle at a place of scene b, in the middle of a lane."""
+    """Puts a vehicle at a place of scene b, in the middle of a lane and along it."""
     x, y = position(scenes.road, lane, s, 0.0)
-    place(scenes, b, i, kind, x, y, heading, speed)
+    place(scenes, b, i, kind, x, y, heading_at(scenes.road, lane, s), speed)
 
 
 @compiled
