@@ -116,10 +116,7 @@ class RoadEngine(Engine):
         self.arrivals = self._inflow.most if self._inflow else 0
         self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
         self._fault = Fault(scenes, on_network, task.ranks(on_network))
-        self.measures = {
-            "at_fault_on_road": self._fault.at_fault,
-            **self._entries.measures,
-        }
+        self.measures = {"at_fault_on_road": self._fault.at_fault, **self._entries.measures}
         self._kinds = np.zeros(shape, dtype=np.int64)
         """[B, N] what drives each vehicle."""
         self._ways = Ways.empty(*shape)

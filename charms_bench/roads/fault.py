@@ -41,12 +41,7 @@ from charms_bench.world.gaps import requires_braking
 from charms_bench.world.road import heading_at, is_on_lane, local_coordinates
 from charms_bench.world.road_network import Network
 from charms_bench.world.scene import Vehicles
-from charms_bench.world.thresholds import (
-    DRAC_LIMIT_MPS2,
-    DRIFT_MPS,
-    ENTERED_S,
-    LANE_KEEPING_M,
-)
+from charms_bench.world.thresholds import DRAC_LIMIT_MPS2, DRIFT_MPS, ENTERED_S, LANE_KEEPING_M
 
 REACTION_S = 0.75
 """That of the careful and competent driver of UN Regulation 157."""

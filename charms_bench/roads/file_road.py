@@ -46,11 +46,7 @@ from charms_bench.roads.map_lanes import driven_lanes, indices_of, levels_of, ma
 from charms_bench.roads.meetings import Meetings, meetings_of
 from charms_bench.roads.recorded_scenes import enter, put_recorded, recorded_on, scene_of
 from charms_bench.roads.routes import Routes, routes_of
-from charms_bench.roads.scenes import (
-    IDM,
-    OBSTACLE,
-    Scenes,
-)
+from charms_bench.roads.scenes import IDM, OBSTACLE, Scenes
 from charms_bench.roads.task import Task
 from charms_bench.world.named_road import DRAWN
 from charms_bench.world.road import local_coordinates, width_at

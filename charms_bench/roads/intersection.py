@@ -32,13 +32,7 @@ from charms_bench.roads.task import (
 )
 from charms_bench.world.lane_geometry import Pair
 from charms_bench.world.road import local_coordinates, position
-from charms_bench.world.road_network import (
-    NO_LINE,
-    SOLID,
-    STRIPED,
-    CircularLane,
-    StraightLane,
-)
+from charms_bench.world.road_network import NO_LINE, SOLID, STRIPED, CircularLane, StraightLane
 
 _SIDES = 4
 RIGHT_RADIUS_M, ACCESS_M, SPEED_LIMIT_MPS = WIDTH_M + 5, 100.0, 10.0
@@ -182,10 +176,7 @@ class Intersection(Task):
 
     def information(self, scenes: Scenes) -> dict[str, Any]:
         crashed = scenes.vehicles["crashed"][:, : self.egos]
-        return {
-            "agents_rewards": self._rewards,
-            "agents_terminated": crashed | self._have_arrived,
-        }
+        return {"agents_rewards": self._rewards, "agents_terminated": crashed | self._have_arrived}
 
 
 @compiled

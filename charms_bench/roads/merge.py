@@ -23,13 +23,7 @@ from charms_bench.roads.scenes import (
 )
 from charms_bench.roads.task import Reward, Task, share, weighted
 from charms_bench.world.actions import LANE_LEFT, LANE_RIGHT
-from charms_bench.world.road_network import (
-    NO_LINE,
-    SOLID_LINE,
-    STRIPED,
-    SineLane,
-    StraightLane,
-)
+from charms_bench.world.road_network import NO_LINE, SOLID_LINE, STRIPED, SineLane, StraightLane
 
 SECTIONS = ("before", "converge", "parallel", "after")
 LENGTHS_M = (150.0, 80.0, 80.0, 150.0)
@@ -90,10 +84,7 @@ class Merge(Task):
     def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
         """[`MergeEnv._make_road`]"""
         b, c, d = (sum(LENGTHS_M[:k]) for k in (2, 3, 4))
-        for y, left, right in (
-            (0.0, SOLID_LINE, STRIPED),
-            (WIDTH_M, NO_LINE, SOLID_LINE),
-        ):
+        for y, left, right in ((0.0, SOLID_LINE, STRIPED), (WIDTH_M, NO_LINE, SOLID_LINE)):
             yield "a", "b", StraightLane(start=(0.0, y), end=(b, y), line_types=(left, right))
             yield "b", "c", StraightLane(start=(b, y), end=(c, y), line_types=(left, STRIPED))
             yield "c", "d", StraightLane(start=(c, y), end=(d, y), line_types=(left, right))

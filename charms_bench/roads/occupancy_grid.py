@@ -100,10 +100,7 @@ def cell_of(grid: Grid, x: float, y: float, cosine: float, sine: float) -> tuple
     """The cell of a point relative to the ego, whose direction is given [`pos_to_index`]."""
     if grid.is_aligned:
         x, y = cosine * x + sine * y, -sine * x + cosine * y
-    return (
-        math.floor((x - grid.low_x) / grid.step_x),
-        math.floor((y - grid.low_y) / grid.step_y),
-    )
+    return (math.floor((x - grid.low_x) / grid.step_x), math.floor((y - grid.low_y) / grid.step_y))
 
 
 @compiled

@@ -17,13 +17,7 @@ from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_la
 from charms_bench.roads.task import Task, has_space, is_on_own_lane, share
 from charms_bench.world.lane_geometry import STRAIGHT, Pair
 from charms_bench.world.road import local_coordinates, position
-from charms_bench.world.road_network import (
-    NO_LINE,
-    SOLID,
-    STRIPED,
-    CircularLane,
-    StraightLane,
-)
+from charms_bench.world.road_network import NO_LINE, SOLID, STRIPED, CircularLane, StraightLane
 
 WIDTH_M, SPEED_LIMIT_MPS = 5.0, 10.0
 """Of the lanes; `racetrack-large` takes its limit from the configuration."""
@@ -188,10 +182,7 @@ class OvalRacetrack(Racetrack):
 
 
 def straight(
-    nodes: str,
-    lines: Sequence[Kinds],
-    *ends: Line,
-    limit: float = SPEED_LIMIT_MPS,
+    nodes: str, lines: Sequence[Kinds], *ends: Line, limit: float = SPEED_LIMIT_MPS
 ) -> Iterator[Edge]:
     """Straight lanes between two nodes, each from a point to another."""
     for (start, end), kinds in zip(ends, lines, strict=True):

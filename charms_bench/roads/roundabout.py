@@ -80,12 +80,7 @@ class Roundabout(Task):
     """[`RoundaboutEnv`]"""
 
     actions = ("DiscreteMetaAction", "DiscreteAction")
-    terms = (
-        "collision_reward",
-        "high_speed_reward",
-        "lane_change_reward",
-        "on_road_reward",
-    )
+    terms = ("collision_reward", "high_speed_reward", "lane_change_reward", "on_road_reward")
     vehicles = 5
     exits: tuple[str, ...] = _EXITS
 

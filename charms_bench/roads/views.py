@@ -116,14 +116,7 @@ def see_themselves(scenes: Scenes, own: Any, ways: Any, rows: Ints) -> None:
 
 @compiled_of_scenes
 def see_each(
-    scenes: Scenes,
-    own: Any,
-    ways: Any,
-    along: Any,
-    rows: Ints,
-    places: Ints,
-    ends: Ints,
-    seen: Any,
+    scenes: Scenes, own: Any, ways: Any, along: Any, rows: Ints, places: Ints, ends: Ints, seen: Any
 ) -> None:
     """Fills in what M vehicles see.
 

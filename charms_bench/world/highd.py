@@ -17,15 +17,7 @@ import polars as pl
 from charms_bench.errors import DataError
 from charms_bench.foundation.arrays import Floats
 from charms_bench.world.csv_table import Columns, Numbers, read_table, reject
-from charms_bench.world.trajectories import (
-    LOWER,
-    TRACKS,
-    UPPER,
-    Recording,
-    Trio,
-    lateral,
-    slope,
-)
+from charms_bench.world.trajectories import LOWER, TRACKS, UPPER, Recording, Trio, lateral, slope
 
 _COUNT = Numbers(0, 1e9, whole=True)
 _TRACKS: Columns = {

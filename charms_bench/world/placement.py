@@ -125,11 +125,7 @@ class Placing:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        settings: SceneSettings,
-        values: Mapping[str, Floats],
-        count: int,
+        self, scenario: Scenario, settings: SceneSettings, values: Mapping[str, Floats], count: int
     ) -> None:
         self._scenario, self._values, self._count = scenario, values, count
         self._starts: tuple[EgoStart | PlacedVehicle, ...] = (scenario.ego, *scenario.vehicles)
