@@ -55,11 +55,7 @@ def conflicts(road: Network, ranks: Ints) -> Conflicts:
 
     Where ranks say nothing, the vehicle of a lane that ends gives way to those beside it. Where
     they are equal, the one that has the other on its right gives way at a crossing (Vienna
-    Convention on Road Traffic, Article 18).
-
-    Args:
-        road: The lanes.
-        ranks: (L,) a lane has the right of way over those with a lower rank; see `fault.Fault`.
+    Convention on Road Traffic, Article 18). `ranks` (L,) are those of `fault.Fault`.
     """
     count = road.lanes.size
     after = [_after(road, lane) for lane in range(count)]

@@ -51,13 +51,7 @@ meets: Whether the follower may still reach the place.
 
 
 class Entries:
-    """The entries of B scenes.
-
-    Args:
-        count: B.
-        scenes: The scenes.
-        main: (L,) whether others have the right of way on each lane.
-    """
+    """The entries of B scenes; `main` (L,) says on which lanes others have the right of way."""
 
     def __init__(self, count: int, scenes: Scenes, main: Bools) -> None:
         self.table = np.zeros(count, ENTRY)

@@ -160,13 +160,11 @@ class Episodes:
                 episodes.
         """
         if not isinstance(state, EpisodesState):
-            raise InputError(
-                f"set_state: found {type(state).__name__}, expected a state of get_state"
-            )
+            found = type(state).__name__
+            raise InputError(f"set_state: found {found}, expected a state of get_state")
         if state.environment != self._identity:
-            raise InputError(
-                f"set_state: the state is of {state.environment}; expected {self._identity}"
-            )
+            what = f"the state is of {state.environment}; expected {self._identity}"
+            raise InputError(f"set_state: {what}")
         for array, saved in zip(self._kept, state.arrays, strict=True):
             array[:] = saved
         return deepcopy(state.seen)
@@ -232,13 +230,9 @@ def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int, room: in
     if road.file is not None:
         config |= {"file": str(road.file), "sha256": road.sha256}
     is_continuous = DEFAULTS[name]["action"]["type"] == "ContinuousAction"
-    if is_continuous and _takes_meta_actions(name):
+    if is_continuous and "DiscreteMetaAction" in _task_of(name).actions:
         config["action"] = {"type": "DiscreteMetaAction", "lateral": False}
     return Episodes(name, count, config, room)
-
-
-def _takes_meta_actions(name: str) -> bool:
-    return "DiscreteMetaAction" in _task_of(name).actions
 
 
 def _task_of(name: str) -> type[Task]:

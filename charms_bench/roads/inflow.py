@@ -54,13 +54,7 @@ class Arrivals(NamedTuple):
 
 
 class RoadInflow:
-    """The arrivals in B scenes.
-
-    Args:
-        settings: Those of the scenes.
-        scenes: The scenes.
-        starts: The lanes that begin where no other one ends.
-    """
+    """The arrivals in B scenes at the lanes `starts`, which begin where no other one ends."""
 
     def __init__(self, settings: SceneSettings, scenes: Scenes, starts: Ints) -> None:
         assert settings.inflow is not None

@@ -35,17 +35,11 @@ def observe(
 ) -> None:
     """Writes the observations (B, rows, F) of an ego in the scenes `rows` [`KinematicObservation`].
 
-    Args:
-        scenes: The scenes.
-        rows: (R,) those that are observed.
-        ego_place: The place of the ego.
-        features: (F,) indices into `FEATURES`.
-        ranges: (B, F, 2) what is mapped onto [-1, 1]; not a number where nothing is.
-        how: Whether positions are absolute, vehicles are sorted, values clipped, vehicles behind
-            seen, obstacles included, other vehicles' destinations seen, and the rows after the
-            ego's shuffled by the scene's generator; then the lane along which the ego's x is
-            measured, -1 for the x of the road [`ExitObservation`].
-        out: The observations.
+    `features` (F,) are indices into `FEATURES`, and `ranges` (B, F, 2) what is mapped onto [-1, 1];
+    not a number where nothing is. `how` says whether positions are absolute, vehicles are sorted,
+    values clipped, vehicles behind seen, obstacles included, other vehicles' destinations seen, and
+    the rows after the ego's shuffled by the scene's generator; then the lane along which the ego's
+    x is measured, -1 for the x of the road [`ExitObservation`].
     """
     is_absolute, is_sorted, clips, sees_behind = how[:4]
     has_obstacles, sees_intentions, shuffles, exit_lane = how[4:]

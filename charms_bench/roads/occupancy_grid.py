@@ -47,15 +47,8 @@ def observe(
 ) -> None:
     """Writes an ego's observations (B, F, X, Y) of the scenes `rows` [`OccupancyGridObservation`].
 
-    Args:
-        scenes: The scenes.
-        rows: (R,) those that are observed.
-        ego_place: The place of the ego.
-        features: (F,) `ON_ROAD`, or indices into `kinematics.FEATURES`.
-        ranges: (`kinematics.FEATURES`, 2) what is mapped onto [-1, 1]; not a number where nothing
-            is.
-        grid: The grid.
-        out: The observations; those of an image are integers from 0 to 255.
+    `features` (F,) are `ON_ROAD` or indices into `kinematics.FEATURES`, of which `ranges` (., 2)
+    are mapped onto [-1, 1]; not a number where nothing is. Images are integers from 0 to 255.
     """
     values, has_more = np.empty(len(FEATURES)), features.max() >= COS_D
     for b in rows:

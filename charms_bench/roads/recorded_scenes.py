@@ -272,38 +272,39 @@ def do_overlap(tracks: Tracks, v: int, other: int, at: int, corners: Floats) -> 
 
 def put_recorded(scenes: Scenes, rows: Ints, numbers: Ints, scene: OnRoad, routes: Routes) -> None:
     """Places the vehicles of the moments `numbers` (R,) in the scenes `rows` (R,)."""
-    moments = scene.moments
-    _put(scenes, rows, numbers, moments.tracks, moments.frame, *_of_vehicles(scenes, scene, routes))
+    _put(scenes, rows, numbers, _starts_of(scenes, scene, routes))
 
 
 def enter(scenes: Scenes, vehicles: Vehicles, numbers: Ints, scene: OnRoad, routes: Routes) -> None:
     """Completes M vehicles that appear after the start of the moments `numbers` (M,)."""
-    (rows, places), tracks = vehicles, scene.moments.tracks
-    _enter(scenes, rows, places, numbers, tracks, *_of_vehicles(scenes, scene, routes))
+    _enter(scenes, *vehicles, numbers, _starts_of(scenes, scene, routes))
 
 
-def _of_vehicles(scenes: Scenes, scene: OnRoad, routes: Routes) -> tuple[Ints, Goals, Routes]:
-    """The vehicles of moments, and their goals as indices of `Routes.goals`."""
+class _Starts(NamedTuple):
+    """What places the vehicles of moments."""
+
+    tracks: Tracks
+    frames: Ints
+    vehicles: Ints
+    goals: Goals
+    """Their lanes are indices of `Routes.goals`."""
+    routes: Routes
+
+
+def _starts_of(scenes: Scenes, scene: OnRoad, routes: Routes) -> _Starts:
     table, goals = scenes.road.lanes, scene.goals
     goal_of = np.full(table.size + 1, -1)  # the last is that of no lane
     for goal, first in enumerate(routes.goals.tolist()):
         goal_of[first : first + table["lanes"][first]] = goal
     goals = Goals(goal_of[goals.lane], goal_of[goals.ego_lane], goals.ego_s)
-    return scene.moments.vehicles, goals, routes
+    moments = scene.moments
+    return _Starts(moments.tracks, moments.frame, moments.vehicles, goals, routes)
 
 
 @compiled_of_scenes
-def _put(
-    scenes: Scenes,
-    rows: Ints,
-    numbers: Ints,
-    tracks: Tracks,
-    frames: Ints,
-    vehicles: Ints,
-    goals: Goals,
-    routes: Routes,
-) -> None:
+def _put(scenes: Scenes, rows: Ints, numbers: Ints, starts: _Starts) -> None:
     """See `put_recorded`."""
+    tracks, frames, vehicles = starts.tracks, starts.frames, starts.vehicles
     for r in range(rows.size):
         b, m = rows[r], numbers[r]
         here = here_of(scenes, b)
@@ -318,39 +319,22 @@ def _put(
             vehicle = scenes.vehicles[b, i]
             vehicle.x, vehicle.y, vehicle.heading = tracks.x[k], tracks.y[k], tracks.heading[k]
             vehicle.speed, vehicle.target_speed = tracks.speed[k], tracks.fastest[v]
-            complete(scenes, b, i, m, tracks, vehicles, goals, routes)
+            complete(scenes, b, i, m, starts)
         list_by_place(scenes, b)
 
 
 @compiled_of_scenes
-def _enter(
-    scenes: Scenes,
-    rows: Ints,
-    places: Ints,
-    numbers: Ints,
-    tracks: Tracks,
-    vehicles: Ints,
-    goals: Goals,
-    routes: Routes,
-) -> None:
+def _enter(scenes: Scenes, rows: Ints, places: Ints, numbers: Ints, starts: _Starts) -> None:
     """See `enter`."""
     for n in range(rows.size):
-        complete(scenes, rows[n], places[n], numbers[n], tracks, vehicles, goals, routes)
+        complete(scenes, rows[n], places[n], numbers[n], starts)
 
 
 @compiled
-def complete(
-    scenes: Scenes,
-    b: int,
-    i: int,
-    m: int,
-    tracks: Tracks,
-    vehicles: Ints,
-    goals: Goals,
-    routes: Routes,
-) -> None:
+def complete(scenes: Scenes, b: int, i: int, m: int, starts: _Starts) -> None:
     """Gives vehicle i of moment m, which is at its place, all that follows from it."""
-    vehicle, v = scenes.vehicles[b, i], vehicles[m, i]
+    tracks, goals = starts.tracks, starts.goals
+    vehicle, v = scenes.vehicles[b, i], starts.vehicles[m, i]
     x, y, wanted = vehicle.x, vehicle.y, vehicle.target_speed
     place(scenes, b, i, COMMANDED if i == 0 else IDM, x, y, vehicle.heading, vehicle.speed)
     if not math.isnan(tracks.length[v]):
@@ -361,4 +345,4 @@ def complete(
         vehicle.goal_s = goals.ego_s[m]
     else:
         draw_behaviour(scenes, b, i)
-    plan_way(vehicle, scenes.road, routes, vehicle.lane, True)
+    plan_way(vehicle, scenes.road, starts.routes, vehicle.lane, True)

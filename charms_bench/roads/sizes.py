@@ -22,16 +22,8 @@ def set_types(
     """Gives new vehicles the sizes and the desired speeds of their types.
 
     One that comes later is not faster than its desired speed. A vehicle other than an ego that has
-    no room then is taken out; see `room`.
-
-    Args:
-        scenes: The scenes.
-        settings: Their settings.
-        egos: How many of the first vehicles are egos.
-        rows: (R,) some of them.
-        seeds: (R,) those of their episodes.
-        entry: (R, N) the numbers of all vehicles; see `world.scene.Scene`.
-        is_new: (R, N) which of them are new.
+    no room then is taken out; see `room`. `seeds` (R,) are those of the scenes `rows` (R,), and
+    `entry` (R, N) and `is_new` (R, N) say the numbers of all vehicles, and which of them are new.
     """
     table = scenes.vehicles
     is_new = is_new & (table["kind"][rows] > OBSTACLE)

@@ -34,11 +34,7 @@ class Reward(NamedTuple):
 
 
 class Task(ABC):
-    """The road and the rules of an environment; methods take the scenes `rows` (R,).
-
-    Args:
-        config: highway-env's configuration.
-    """
+    """The road and the rules of an environment; methods take the scenes `rows` (R,)."""
 
     terms: ClassVar[tuple[str, ...]]
     """The terms of the reward, in highway-env's order, which the configuration weights by name."""
