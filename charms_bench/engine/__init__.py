@@ -97,13 +97,11 @@ class Engine(ABC):
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
-        """Spawns new scenes, whose vehicles stand at their places in the order of entry.
+        """Spawns the scenes `rows` (R,), with vehicles at their places in the order of entry.
 
-        Args:
-            rows: (R,) the scenes to spawn.
-            seeds: (R,) their seeds; a scene depends on its seed and the settings alone.
-            agents: (R, N) the agent of the ego, then those of the other vehicles by their places.
-            draws: (R, D) place the vehicles instead of the seeds; see `engine.draws`.
+        A scene depends on its seed and the settings alone. `agents` (R, N) are that of the ego,
+        then those of the other vehicles by their places. `draws` (R, D) place the vehicles instead
+        of the seeds; see `engine.draws`.
         """
 
     def settle(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:

@@ -30,12 +30,9 @@ class BatchedEngine(Engine):
         }
         models = list(cast.models)
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), models)
-        shape = self.drivers.shape
-        self._is_modelled = np.zeros(shape, dtype=np.bool_)
-        self._is_ego = np.zeros(shape, dtype=np.bool_)
-        self._nobody = np.zeros(shape, dtype=np.bool_)
-        self._is_continuous = np.zeros(shape, dtype=np.bool_)
-        self._is_prescribed = np.zeros(shape, dtype=np.bool_)
+        marks = np.zeros((5, *self.drivers.shape), dtype=np.bool_)
+        self._is_modelled, self._is_ego, self._nobody = marks[:3]
+        self._is_continuous, self._is_prescribed = marks[3:]
         self._vehicles: dict[tuple[int, bool], Vehicles] = {}
         """The active vehicles that each driver model drives, and those of them that are not egos;
         listed for the active scenes `_listed`."""

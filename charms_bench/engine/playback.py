@@ -170,9 +170,8 @@ class RecordedOnRoad(Recorded):
     def __init__(self, episodes: RunningEpisodes) -> None:
         super().__init__(episodes)
         tracks, egos = self._moments.tracks, self._moments.vehicles[:, 0]
-        needs_ego = (
-            self._successor >= 0 or episodes.agents.index(episodes.ego_agent) in self._followers
-        )
+        ego = episodes.agents.index(episodes.ego_agent)
+        needs_ego = self._successor >= 0 or ego in self._followers
         if needs_ego and (tracks.first[egos] == tracks.last[egos]).any():
             raise InputError(
                 f"{episodes.settings.network}: the vehicle of a planning problem is not recorded, "

@@ -210,9 +210,8 @@ class RunningEpisodes:
     def blame(self, name: str, vehicles: Vehicles, what: str, wrong: int = 0) -> AgentError:
         """An agent's error about one of its M vehicles, given by its index."""
         row = vehicles[0][wrong]
-        return AgentError(
-            f"agent '{name}', episode {self.seeds[row]}, step {self.steps[row]}: {what}"
-        )
+        where = f"episode {self.seeds[row]}, step {self.steps[row]}"
+        return AgentError(f"agent '{name}', {where}: {what}")
 
 
 def _check_agent(name: str, agent: Agent, settings: SceneSettings) -> None:
@@ -229,11 +228,10 @@ def _check_agent(name: str, agent: Agent, settings: SceneSettings) -> None:
     steps = settings.simulation_hz / hz if isinstance(hz, Real) and hz > 0 else 0.5
     if not 1 <= steps <= 1e9 or steps != round(steps):
         fitting = settings.simulation_hz_for(float(hz)) if isinstance(hz, Real) else None
+        instead = f"; `simulation_hz: {fitting}` in the scene is" if fitting is not None else ""
         raise InputError(
             f"agent '{name}' decides {hz} times per second; simulation_hz "
-            f"{settings.simulation_hz} is not a multiple of this rate"
-            + f"; `simulation_hz: {fitting}` in the scene is"
-            * (fitting is not None)
+            f"{settings.simulation_hz} is not a multiple of this rate{instead}"
         )
 
 

@@ -41,12 +41,11 @@ from charms_bench.roads.carrying_out import (
 )
 from charms_bench.roads.configured_egos import configured
 from charms_bench.roads.entries import Entries
-from charms_bench.roads.episodes import episodes_of_agents
+from charms_bench.roads.episodes import episodes_of_agents, plan_of
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.inflow import RoadInflow
 from charms_bench.roads.interaction import RoadJunctions
 from charms_bench.roads.packed_arrays import check_values, pack, unpack, width_of
-from charms_bench.roads.plan import plan_of
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,

@@ -19,10 +19,11 @@ from charms_bench.roads.controls import Controls, actions_of
 from charms_bench.roads.defaults import DEFAULTS, MOST_STEPS, SPLIT
 from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
 from charms_bench.roads.observing import Kinematics, Observed, observer_of
-from charms_bench.roads.scenes import NOTHING, Scenes, place
+from charms_bench.roads.scenes import LANDMARK, NOTHING, OBSTACLE, Scenes, place
 from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
+from charms_bench.world.plan import OF_VEHICLES, Lines, Plan
 from charms_bench.world.profile import HIGHWAY_ENV
 
 Seen = Observed | tuple[Observed, ...]
@@ -233,6 +234,18 @@ def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int, room: in
     if is_continuous and "DiscreteMetaAction" in _task_of(name).actions:
         config["action"] = {"type": "DiscreteMetaAction", "lateral": False}
     return Episodes(name, count, config, room)
+
+
+def plan_of(lines: Lines, scenes: Scenes, b: int) -> Plan:
+    """The plan of scene b, whose network has these lines."""
+    vehicles = scenes.vehicles[b]
+    return Plan(
+        road=scenes.road,
+        lines=lines,
+        present=vehicles["kind"] != NOTHING,
+        is_obstacle=np.isin(vehicles["kind"], (LANDMARK, OBSTACLE)),
+        **{name: vehicles[name].copy() for name in OF_VEHICLES[1:]},
+    )
 
 
 def _task_of(name: str) -> type[Task]:

@@ -76,11 +76,7 @@ class Track(NamedTuple):
 class Fault:
     """Judges the collisions of the egos of B scenes, and of other vehicles that are asked about.
 
-    Args:
-        count: B.
-        scenes: The scenes, of which the ego is the first vehicle.
-        ranks: (L,) a lane has the right of way over those with a lower rank; `NO_RANK` says
-            nothing.
+    A lane has the right of way over those with a lower rank (L,); `NO_RANK` says nothing.
     """
 
     def __init__(self, count: int, scenes: Scenes, ranks: Ints) -> None:

@@ -8,14 +8,10 @@ from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, wrap_to_pi
 from charms_bench.foundation.generator import shuffle
 from charms_bench.roads.scenes import NOTHING, OBSTACLE, Scenes
+from charms_bench.world.kinematics_observation import FEATURES
 from charms_bench.world.road import distance_along, heading_at, local_coordinates, position
 from charms_bench.world.scene import Observations
 
-FEATURES = (
-    *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"),
-    *("cos_d", "sin_d", "long_off", "lat_off", "ang_off"),
-)
-"""highway-env's features; a feature is an index into this tuple."""
 PRESENCE, X, Y, VX, VY, HEADING, COS_H, SIN_H, COS_D, SIN_D, LONG_OFF, LAT_OFF, ANG_OFF = range(
     len(FEATURES)
 )

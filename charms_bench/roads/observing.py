@@ -14,6 +14,7 @@ from charms_bench.roads import attributes, kinematics, occupancy_grid, time_to_c
 from charms_bench.roads.configuration import options
 from charms_bench.roads.controls import kind_of_ego
 from charms_bench.roads.scenes import COMMANDED, LANDMARK, Scenes
+from charms_bench.world.kinematics_observation import FEATURES
 from charms_bench.world.scene import Observations
 
 Observed = NDArray[Any] | dict[str, NDArray[Any]]
@@ -100,12 +101,12 @@ class Kinematics(Observer):
             exit_lane = asked.lanes["1", "2", asked.config["lanes_count"]]
             found["include_obstacles"] = False
         features = list(found["features"] or _KINEMATICS["features"])
-        _check_features(features, kinematics.FEATURES)
+        _check_features(features, FEATURES)
         if not found["vehicles_count"] >= 2:
             raise InputError("config.observation.vehicles_count: expected at least 2")
         shape = int(found["vehicles_count"]), len(features)
         self.space = gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
-        self._features = np.array([kinematics.FEATURES.index(name) for name in features])
+        self._features = np.array([FEATURES.index(name) for name in features])
         ranges = found["features_range"] or _RANGES
         ranges = ranges if found["normalize"] else {}
         bounds = [ranges.get(name, (np.nan, np.nan)) for name in features]
@@ -155,8 +156,8 @@ class OccupancyGrid(Observer):
         if found["absolute"]:
             raise InputError("config.observation.absolute: True is not supported")
         names = list(found["features"])
-        _check_features(names, (*kinematics.FEATURES, "on_road"))
-        known = {name: k for k, name in enumerate(kinematics.FEATURES)}
+        _check_features(names, (*FEATURES, "on_road"))
+        known = {name: k for k, name in enumerate(FEATURES)}
         indices = [known.get(name, occupancy_grid.ON_ROAD) for name in names]
         self._features = np.array(indices, dtype=np.int64)
         self._ranges = np.full((len(known), 2), np.nan)

@@ -73,9 +73,8 @@ class PlacingOnRoad(Placing):
         first, lanes = road.lanes["first"], road.lanes["lanes"]
         if vehicle.x_m is not None:
             field, begin, way = "x_m", self._first_lane(at, vehicle), self.towards[i]
-            start = begin + self._lane(
-                (*at, "lane"), vehicle.lane, lanes[begin], self._name_of(begin)
-            )
+            name = self._name_of(begin)
+            start = begin + self._lane((*at, "lane"), vehicle.lane, lanes[begin], name)
             along = self.within((*at, "x_m"), vehicle.x_m, -np.inf, np.inf)
         elif vehicle.road is not None:
             raise ScenarioError((*at, "road"), "the gap says where the vehicle is; remove one")
@@ -379,9 +378,8 @@ def drive(
         lane, onto = motion.lane[b, i], motion.onto[b, i]
         beyond = lane_after(road, way, onto) if onto != lane else after
         # Some of highway-env's lanes begin a little before or after the end of the one before.
-        motion.s[b, i] = local_coordinates(road, after, *position(road, lane, motion.s[b, i], 0.0))[
-            0
-        ]
+        x, y = position(road, lane, motion.s[b, i], 0.0)
+        motion.s[b, i], _ = local_coordinates(road, after, x, y)
         is_beside = beyond >= 0 and road.lanes[beyond].first == road.lanes[after].first
         motion.lane[b, i], motion.onto[b, i] = after, beyond if is_beside else after
         motion.part[b, i] = motion.part[b, i] if motion.onto[b, i] != after else 0.0

@@ -261,11 +261,9 @@ class Placing:
         lane = self._value(at, formula)
         is_wrong = ~((lane == np.floor(lane)) & (lane >= 0) & (lane <= last))
         most = last[is_wrong.argmax()]
-        expected = (
-            f"expected a whole number from 0 to {most}" if most else "expected 0, its only lane"
-        )
+        expected = f"a whole number from 0 to {most}" if most else "0, its only lane"
         named = road.replace("{", "{{").replace("}", "}}")
-        self._check(at, is_wrong, f"lane {{:g}} is not on {named}; {expected}", lane)
+        self._check(at, is_wrong, f"lane {{:g}} is not on {named}; expected {expected}", lane)
         return np.asarray(lane.astype(np.int64))
 
     def within(self, at: Location, formula: Formula, low: float, high: float) -> Floats:
