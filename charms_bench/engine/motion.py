@@ -58,10 +58,8 @@ class Turning(NamedTuple):
 @compiled
 def room_to_turn(vehicles: int) -> Turning:
     """Arrays for a block of so many vehicles."""
-    marks, f = (
-        (np.empty(vehicles, np.int64), np.empty(vehicles, np.bool_)),
-        np.empty((11, vehicles)),
-    )
+    marks = np.empty(vehicles, np.int64), np.empty(vehicles, np.bool_)
+    f = np.empty((11, vehicles))
     return Turning(*marks, *(f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], f[9], f[10]))
 
 

@@ -96,10 +96,8 @@ def describe(scenes: Scenes, b: int, j: int, origin: int, values: Floats) -> Non
     # highway-env does not say an obstacle's heading [`RoadObject.to_dict`].
     values[HEADING] = math.nan if vehicle.kind <= OBSTACLE else vehicle.heading
     values[X], values[Y] = vehicle.x, vehicle.y
-    values[VX], values[VY] = (
-        vehicle.speed * vehicle.direction_x,
-        vehicle.speed * vehicle.direction_y,
-    )
+    values[VX] = vehicle.speed * vehicle.direction_x
+    values[VY] = vehicle.speed * vehicle.direction_y
     values[COS_H], values[SIN_H] = vehicle.direction_x, vehicle.direction_y
     if origin >= 0:
         ego = scenes.vehicles[b, origin]

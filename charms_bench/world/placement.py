@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import ScenarioError, suggestion
+from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.formula import Formula, evaluate
 from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.points import count_of, values_at
@@ -15,7 +16,6 @@ from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Sc
 from charms_bench.world.scene import SceneSettings
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
 
-Floats = NDArray[np.float64]
 Location = tuple[str | int, ...]
 
 
