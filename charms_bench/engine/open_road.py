@@ -45,11 +45,7 @@ class _Arrival(NamedTuple):
 
 
 class Inflow(Source):
-    """Vehicles that enter at the start of the road and leave at its end.
-
-    Raises:
-        InputError: Vehicles are driven from outside.
-    """
+    """Vehicles that enter at the start of the road and leave at its end."""
 
     def __init__(self, episodes: RunningEpisodes) -> None:
         super().__init__(episodes)
@@ -88,11 +84,7 @@ class Inflow(Source):
         self._entered[rows] = last + 1 - episodes.settings.vehicles
 
     def after_step(self) -> None:
-        """Lets vehicles leave and enter after a simulation step.
-
-        Raises:
-            InputError: A scene is full.
-        """
+        """Lets vehicles leave and enter; raises an `InputError` if a scene is full."""
         episodes, scene = self._episodes, self._episodes.scene
         end = episodes.settings.profile.road_length_m
         changed = have_left(scene, end)

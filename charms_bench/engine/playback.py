@@ -52,9 +52,7 @@ class Played(NamedTuple):
 class Recorded(Source):
     """Vehicles that are at a recorded moment where an episode starts, and come and go after it.
 
-    Raises:
-        InputError: Vehicles are driven from outside.
-        DataError: The recordings cannot be read, or have changed.
+    A `DataError` says that the recordings cannot be read, or have changed.
     """
 
     is_foreseen = False  # a planner does not know what was recorded next

@@ -11,9 +11,7 @@ from charms_bench.engine.source import Drawn, Source
 def sources_of(episodes: RunningEpisodes) -> tuple[Source, ...]:
     """The sources that the settings of episodes name, in the order in which they act.
 
-    Raises:
-        InputError: The vehicles of one need drivers, but are driven from outside.
-        DataError: Recordings cannot be used.
+    Raises an `InputError` if vehicles of one that need drivers are driven from outside.
     """
     settings = episodes.settings
     if settings.scenario is not None and settings.network is None:

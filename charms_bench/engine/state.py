@@ -265,11 +265,7 @@ def restore(
 
 
 def check_settings(found: SceneSettings, expected: SceneSettings) -> None:
-    """Rejects a state of other scenes.
-
-    Raises:
-        InputError: The settings differ; the message names the first field that does.
-    """
+    """Rejects a state of other scenes; the `InputError` names the first field that differs."""
     if found is expected or found == expected:
         return
     if found.scenario != expected.scenario:

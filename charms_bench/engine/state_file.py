@@ -195,12 +195,9 @@ def _array_of(name: str, value: Any) -> NDArray[Any]:
 
 
 def check_state(state: SceneState) -> None:
-    """Rejects values that cannot occur in a simulation.
+    """Rejects values that cannot occur in a simulation with an `InputError` that names the field.
 
     On a road of highway-env, the engine checks its lanes and routes when it restores the state.
-
-    Raises:
-        InputError: A shape is wrong or a number out of range; the message names the field.
     """
     settings, scenes = state.settings, state.seeds.size
     for name in OF_SCENE:

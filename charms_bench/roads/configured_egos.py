@@ -26,9 +26,6 @@ class ConfiguredEgos:
 
     In highway-env, an observation is older than the vehicles that leave and enter after the
     decision. So where vehicles do, the observations from before are kept.
-
-    Raises:
-        InputError: The configuration is not supported on this road.
     """
 
     def __init__(self, policy: Policy, episodes: Episodes) -> None:

@@ -154,12 +154,7 @@ class Episodes:
         return EpisodesState(self._identity, arrays, deepcopy(seen))
 
     def restore(self, state: EpisodesState) -> Seen:
-        """Continues from a state; returns its last observations.
-
-        Raises:
-            InputError: It is no such state, or of another environment, configuration or number of
-                episodes.
-        """
+        """Continues from a state of the same episodes; returns its last observations."""
         if not isinstance(state, EpisodesState):
             found = type(state).__name__
             raise InputError(f"set_state: found {found}, expected a state of get_state")
@@ -222,9 +217,6 @@ def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int, room: in
 
     Where the environment's actions are accelerations and steering angles, the ego starts as it does
     with meta-actions.
-
-    Raises:
-        InputError: See `Episodes`.
     """
     name = road.environment
     config: dict[str, Any] = {**(road.configuration or {}), "simulation_frequency": simulation_hz}

@@ -97,11 +97,8 @@ class RoadInflow:
     def flow(self, scenes: Scenes, rows: Ints, times_s: Floats) -> Ints:
         """Has vehicles leave and enter the scenes `rows` (R,) at the times `times_s` (R,).
 
-        Returns:
-            (R, N) the numbers of those that have entered, -1 for all others.
-
-        Raises:
-            InputError: A scene is full.
+        Returns the numbers (R, N) of those that have entered, -1 for all others; raises an
+        `InputError` if a scene is full.
         """
         numbers = np.full((rows.size, scenes.vehicles.shape[1]), -1)
         full = _flow(scenes, rows, times_s, self._arrivals, self.entered, numbers)

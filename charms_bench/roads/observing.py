@@ -70,11 +70,7 @@ class Asked(NamedTuple):
 
 
 class Observer(ABC):
-    """An ego's observation of B scenes.
-
-    Raises:
-        InputError: The configuration is not supported.
-    """
+    """An ego's observation of B scenes; raises an `InputError` if it is not supported."""
 
     space: gymnasium.Space[Any]
     """Of one observation."""

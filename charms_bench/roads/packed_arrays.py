@@ -45,10 +45,7 @@ def check_values(
     """Rejects what compiled code must not meet in arrays; the fields of records are `name.field`.
 
     `bounds` are those of arrays that have narrower ones than the others, and numbers can be missing
-    where names begin with `may_be_nan`.
-
-    Raises:
-        InputError: A number is out of its bounds.
+    where names begin with `may_be_nan`. An `InputError` says what is out of its bounds.
     """
     fields = {
         f"{name}.{field}" if field else name: part[field] if field else part

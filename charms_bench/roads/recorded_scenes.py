@@ -96,8 +96,7 @@ def recorded_on(
 ) -> OnRoad:
     """The moments of a scene for episodes of a duration, or of as long as the scene lasts.
 
-    Raises:
-        InputError: There is none.
+    Raises an `InputError` if there is none.
     """
     if start == PLANNING_PROBLEM:
         return _at_problems(scene, road, duration, links)

@@ -60,11 +60,7 @@ KINDS = ("tracks", "tracksMeta", "recordingMeta")
 
 
 def read_highd(trio: Trio) -> Recording:
-    """A recording of three files.
-
-    Raises:
-        DataError: A file cannot be read, or the three files contradict each other.
-    """
+    """A recording of three files; raises a `DataError` if they cannot be read or contradict."""
     frame_rate, vehicles, markings, stated = _read_recording_meta(trio.recording_meta)
     meta = _read_tracks_meta(trio, vehicles)
     tracks = read_table(trio.tracks, _TRACKS, optional=_DERIVED).with_row_index("line", offset=2)

@@ -173,9 +173,8 @@ def scene_of(fields: Any) -> SceneSettings:
 def _decided(settings: SceneSettings) -> dict[str, Any]:
     """The fields of a scene that its recordings decide.
 
-    Raises:
-        DataError: The recordings cannot be used.
-        ValueError: The settings give such a field themselves.
+    Raises a `DataError` if they cannot be used, and a `ValueError` if the settings give such a
+    field themselves.
     """
     source = settings.recording
     assert source is not None

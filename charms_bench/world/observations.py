@@ -171,11 +171,7 @@ def described(observation: NamedObservation) -> str:
 
 
 def observation_described(text: str) -> NamedObservation:
-    """The observation that a text from `described` describes.
-
-    Raises:
-        InputError: The text describes no known observation.
-    """
+    """The observation that a text from `described` describes; else an `InputError`."""
     if not text.startswith("{"):
         return named_observation(text.partition(":")[0])
     try:

@@ -59,10 +59,8 @@ def place(
 ) -> Placement:
     """Returns the concrete scenarios of the points (R,) with these numbers.
 
-    `kind` places the vehicles; by default, on the straight road.
-
-    Raises:
-        ScenarioError: A formula is wrong, or a point has an impossible placement.
+    `kind` places the vehicles; by default, on the straight road. Raises a `ScenarioError` if a
+    formula is wrong, or a point has an impossible placement.
     """
     _check_points(scenario, numbers)
     values = values_at(scenario, numbers)
@@ -78,15 +76,8 @@ def driver_parameters(
 ) -> dict[str, Floats]:
     """Returns the parameters (R,) that a scenario gives to the driver of its vehicle k, by name.
 
-    Args:
-        scenario: The scenario.
-        k: The vehicle's index in the scenario.
-        settings: The settings of the scene.
-        ranges: The parameters that the vehicle's agent has, and their ranges.
-        numbers: (R,) the numbers of the points.
-
-    Raises:
-        ScenarioError: The agent has no such parameter, or the value is out of its range.
+    `ranges` are those of the parameters that its agent has. Raises a `ScenarioError` if it has no
+    such parameter, or the value at one of the points `numbers` (R,) is out of the range.
     """
     vehicle, values = scenario.vehicles[k], values_at(scenario, numbers)
     placing, given = Placing(scenario, settings, values, numbers.size), {}
