@@ -56,7 +56,7 @@ class Asked(NamedTuple):
     """Which ego observes what, by a configuration."""
 
     config: Mapping[str, Any]
-    count: int
+    scenes: int
     """B."""
     lanes: Mapping[Any, int]
     """The indices of the road's lanes by highway-env's names."""
@@ -106,7 +106,7 @@ class Kinematics(Observer):
         ranges = found["features_range"] or _RANGES
         ranges = ranges if found["normalize"] else {}
         bounds = [ranges.get(name, (np.nan, np.nan)) for name in features]
-        self.ranges = np.tile(np.array(bounds, dtype=np.float64), (asked.count, 1, 1))
+        self.ranges = np.tile(np.array(bounds, dtype=np.float64), (asked.scenes, 1, 1))
         """(B, F, 2) the values that become -1 and 1; not a number for what is not scaled."""
         has_width = not found["features_range"] and found["normalize"]
         self._of_width = [k for k, name in enumerate(features) if name == "y" and has_width]
@@ -114,7 +114,7 @@ class Kinematics(Observer):
         flags = found["absolute"], is_exit or order == "sorted", found["clip"], found["see_behind"]
         sees = found["include_obstacles"], found["observe_intentions"]
         self._how = np.array([*flags, *sees, order == "shuffled", exit_lane], dtype=np.int64)
-        self._out = np.zeros((asked.count, *shape), dtype=np.float32)
+        self._out = np.zeros((asked.scenes, *shape), dtype=np.float32)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         for k in self._of_width:
@@ -137,7 +137,7 @@ class TimeToCollision(Observer):
         sides = time_to_collision.SIDES
         shape = sides, sides, int(found["horizon"] / self._interval)
         self.space = gymnasium.spaces.Box(0.0, 1.0, shape, np.float32)
-        self._out = np.zeros((asked.count, *shape), dtype=np.float32)
+        self._out = np.zeros((asked.scenes, *shape), dtype=np.float32)
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observations:
         time_to_collision.observe(scenes, rows, self._ego, self._interval, self._out)
@@ -173,7 +173,7 @@ class OccupancyGrid(Observer):
                 *(bool(found[flag]) for flag in ("align_to_vehicle_axes", "clip", "as_image")),
             )
         )
-        self._out = np.zeros((asked.count, *shape), dtype=np.float32)
+        self._out = np.zeros((asked.scenes, *shape), dtype=np.float32)
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observations:
         how = self._features, self._ranges, self._grid
@@ -239,7 +239,7 @@ class Attributes(Observer):
         self._skipped = 2 * attributes.NUMBERS * int(noisy)
         box = gymnasium.spaces.Box(-np.inf, np.inf, (attributes.NUMBERS, 1), np.float64)
         self.space = gymnasium.spaces.Dict(dict.fromkeys(self._names, box))
-        self._out = np.zeros((asked.count, len(self._names), attributes.NUMBERS))
+        self._out = np.zeros((asked.scenes, len(self._names), attributes.NUMBERS))
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         attributes.skip(scenes, rows, self._skipped)

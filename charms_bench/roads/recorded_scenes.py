@@ -276,7 +276,8 @@ def put_recorded(scenes: Scenes, rows: Ints, numbers: Ints, scene: OnRoad, route
 
 def enter(scenes: Scenes, vehicles: Vehicles, numbers: Ints, scene: OnRoad, routes: Routes) -> None:
     """Completes M vehicles that appear after the start of the moments `numbers` (M,)."""
-    _enter(scenes, *vehicles, numbers, _starts_of(scenes, scene, routes))
+    rows, places = vehicles
+    _enter(scenes, rows, places, numbers, _starts_of(scenes, scene, routes))
 
 
 class _Starts(NamedTuple):
