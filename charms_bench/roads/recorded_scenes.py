@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
-from zlib import crc32
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from charms_bench.roads.map_lanes import driven_lanes, map_of
 from charms_bench.roads.routes import Routes, plan_way
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, list_by_place, place
 from charms_bench.roads.task import draw_behaviour
-from charms_bench.world.moments import Moments, Tracks
+from charms_bench.world.moments import Moments, Tracks, in_order, order_of
 from charms_bench.world.named_road import PLANNING_PROBLEM, hash_of
 from charms_bench.world.road import closest_lane, heading_at, local_coordinates, width_at
 from charms_bench.world.road_network import Network
@@ -117,7 +116,7 @@ def recorded_on(
     egos, goals = egos[can_go], goals[can_go]
     names = [f"vehicle {scene.ids[ego]}" for ego in egos]
     moments = _moments(tracks, egos, np.full(egos.size, frame), rate, names)
-    lanes, s = _places(road, tracks, goals[_order(names)])
+    lanes, s = _places(road, tracks, goals[order_of(names)])
     return OnRoad(moments, Goals(_last_lanes(road, scene), lanes, s), duration)
 
 
@@ -141,7 +140,7 @@ def _at_problems(
     moments = _moments(tracks, egos, of_egos.first, scene.rate_hz, names)
     ends = [each.last or int(scene.tracks.last.max()) for each in scene.problems]
     lasting = min(end - each.frame for end, each in zip(ends, scene.problems, strict=True))
-    goals, order = (np.full(egos.size, -1), np.zeros(egos.size)), _order(names)
+    goals, order = (np.full(egos.size, -1), np.zeros(egos.size)), order_of(names)
     for k, m in enumerate(order):
         areas = [area for state in scene.problems[m].goals for area in state.areas]
         goals[0][k], goals[1][k] = _goal(areas, road, int(starts[m]), links)
@@ -154,26 +153,11 @@ def _at_problems(
 def _moments(
     tracks: Tracks, egos: Ints, frames: Ints, rate_hz: float, names: Sequence[str]
 ) -> Moments:
-    """A moment for each ego, in the order of `_order`."""
+    """A moment for each ego, in the order of `order_of`."""
     every = np.argsort(tracks.first, kind="stable")
     every = every[np.isfinite(tracks.length[every])]  # which those of planning problems are not
-    vehicles = np.full((egos.size, 1 + every.size), -1)
-    for row, ego in zip(vehicles, egos, strict=True):
-        others = every[every != ego]
-        row[: 1 + others.size] = ego, *others
-    order, is_used = _order(names), (vehicles >= 0).any(axis=0)
-    return Moments(
-        tracks=tracks,
-        vehicles=vehicles[order][:, is_used],
-        frame=frames[order],
-        rate_hz=np.full(egos.size, rate_hz),
-        names=tuple(names[k] for k in order),
-    )
-
-
-def _order(names: Sequence[str]) -> Ints:
-    """The order of the episodes, in which neighbours are about as alike as any two."""
-    return np.argsort([crc32(name.encode()) for name in names], kind="stable")
+    vehicles = [np.array([ego, *every[every != ego]]) for ego in egos]
+    return in_order(tracks, vehicles, frames, np.full(egos.size, rate_hz), names)
 
 
 def _last_lanes(road: Network, scene: RecordedScene) -> Ints:

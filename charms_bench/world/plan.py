@@ -61,7 +61,7 @@ OF_VEHICLES = tuple(each.name for each in fields(Bodies))
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Plan(Bodies):
-    """N vehicles on a network, whose are x, y and, as indices of its lanes, `lane`s."""
+    """N vehicles on a network: x and y are the network's, and lanes are indices of its lanes."""
 
     road: Network
     lines: Lines
