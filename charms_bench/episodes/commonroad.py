@@ -172,7 +172,7 @@ def _following(road: Network, lane: int) -> list[int]:
     """The lanes that start where a lane ends."""
     row = road.lanes[lane]
     x, y = position(road, lane, row["length"], 0.0)
-    roads = road.successors[row["next_roads"] : row["next_roads"] + row["next_count"]].tolist()
+    roads = roads_after(road, lane)
     lanes = [k for first in roads for k in range(first, first + road.lanes["lanes"][first])]
     starts = {k: position(road, k, 0.0, 0.0) for k in lanes}
     return [k for k, (u, v) in starts.items() if math.hypot(u - x, v - y) <= TOUCHING_M]

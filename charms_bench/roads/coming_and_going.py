@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from charms_bench.engine.meta_actions import index_of
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
@@ -25,7 +26,6 @@ from charms_bench.roads.scenes import (
     Row,
     Scenes,
     here_of,
-    index_of,
     list_by_place,
     place_near,
 )

@@ -39,7 +39,7 @@ from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.world.gaps import requires_braking
 from charms_bench.world.road import heading_at, is_on_lane, local_coordinates
-from charms_bench.world.road_network import Network
+from charms_bench.world.road_network import Network, roads_after
 from charms_bench.world.scene import Vehicles
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2, DRIFT_MPS, ENTERED_S, LANE_KEEPING_M
 
@@ -164,8 +164,7 @@ def ranks_of(road: Network, main: Bools) -> Ints:
     leads = main.copy()
     for _ in range(lanes.size):  # until nothing changes: a lane that leads to such a lane
         for lane in np.nonzero(~leads)[0]:
-            row = lanes[lane]
-            after = road.successors[row["next_roads"] : row["next_roads"] + row["next_count"]]
+            after = roads_after(road, lane)
             leads[lane] = any(leads[each : each + lanes["lanes"][each]].any() for each in after)
     return np.where(main, 1, np.where(leads, 0, NO_RANK)) if main.any() else np.full(main.size, -1)
 

@@ -16,7 +16,7 @@ from charms_bench.engine.type_draws import draw_vehicles
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.roads.locating import as_followed, coordinates_of, forget
+from charms_bench.roads.locating import as_followed, coordinates_of, distance_to, forget
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     IDM,
@@ -195,7 +195,7 @@ def room_ahead(scenes: Scenes, here: Here, b: int, i: int) -> tuple[float, float
     for j in range(here.places):
         other = scenes.vehicles[b, j]
         if other.kind > OBSTACLE and other.target_lane == lane and other.lane != lane:
-            away = coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s
-            if as_followed(here, i, j, away) < room:
-                room, speed = as_followed(here, i, j, away), other.speed
+            away = distance_to(here, i, j)
+            if away < room:
+                room, speed = away, other.speed
     return (-math.inf if rear >= 0 else room), speed

@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine.meta_actions import index_of
 from charms_bench.errors import InputError
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, normal, uniform
 from charms_bench.roads.layout import WIDTH_M, Edge
-from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, index_of, put_on_lane
+from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_lane
 from charms_bench.roads.task import (
     Reward,
     Task,
