@@ -19,7 +19,14 @@ from charms_bench.foundation.files import write_bytes
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.plan import Plan
 from charms_bench.world.road import position, width_at
-from charms_bench.world.road_network import NO_LINE, SOLID, SOLID_LINE, STRIPED, Network
+from charms_bench.world.road_network import (
+    NO_LINE,
+    SOLID,
+    SOLID_LINE,
+    STRIPED,
+    Network,
+    roads_after,
+)
 from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
 FIRST_VEHICLE = 1001
