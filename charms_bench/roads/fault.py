@@ -163,7 +163,7 @@ def ranks_of(road: Network, main: Bools) -> Ints:
     lanes = road.lanes
     leads = main.copy()
     for _ in range(lanes.size):  # until nothing changes: a lane that leads to such a lane
-        for lane in np.nonzero(~leads)[0]:
+        for lane in np.nonzero(~leads)[0].tolist():
             after = roads_after(road, lane)
             leads[lane] = any(leads[each : each + lanes["lanes"][each]].any() for each in after)
     return np.where(main, 1, np.where(leads, 0, NO_RANK)) if main.any() else np.full(main.size, -1)
