@@ -88,7 +88,7 @@ class Engine(ABC):
     """All vehicles where they are on the road; on the straight road, it is `scene` itself."""
 
     def __init__(self, settings: SceneSettings, scenes: int, cast: Cast) -> None:
-        self._settings, self._models = settings, cast.models
+        self._settings, self._models = settings, dict(cast.models)
         self._continuous, self._prescribed = list(cast.continuous), list(cast.prescribed)
         self.drivers = np.zeros((scenes, settings.vehicles), dtype=np.int64)
         self.goals = np.zeros(scenes, dtype=np.bool_)

@@ -23,7 +23,7 @@ from charms_bench.roads.layout import Layout
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, place_near
 from charms_bench.roads.settings import layout_on
 from charms_bench.roads.task import Task
-from charms_bench.world.placement import Location, Placement, Placing
+from charms_bench.world.placement import Location, Placement, Placing, place_of
 from charms_bench.world.road import heading_at, local_coordinates, next_lane, position
 from charms_bench.world.road_network import Network
 from charms_bench.world.scene import SceneSettings
@@ -65,7 +65,7 @@ class PlacingOnRoad(Placing):
         if vehicle.destination not in (None, *nodes):
             what = f"no node named '{vehicle.destination}'"
             what += f". {suggestion(vehicle.destination, dict.fromkeys(sorted(nodes)))}"
-            raise ScenarioError((*_at(i), "destination"), what)
+            raise ScenarioError((*place_of(i), "destination"), what)
         return way_to(self._layout, vehicle.destination)
 
     def _put(self, i: int, at: Location, names: Any, made: Placement) -> None:
@@ -131,11 +131,6 @@ class PlacingOnRoad(Placing):
 
     def _y_of(self, lane: NDArray[np.int64]) -> Floats:
         return np.zeros(self._count)  # the lanes of an action are numbers on roads to come
-
-
-def _at(i: int) -> Location:
-    """Where vehicle i is in a scenario."""
-    return ("vehicles", i - 1) if i else ("ego",)
 
 
 class Motion(NamedTuple):

@@ -19,6 +19,11 @@ from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
 Location = tuple[str | int, ...]
 
 
+def place_of(i: int) -> Location:
+    """Where vehicle i is in a scenario."""
+    return ("vehicles", i - 1) if i else (EGO,)
+
+
 class Placement(NamedTuple):
     """The starts of R scenes of N vehicles, the ego first, and K actions of each kind.
 
@@ -143,7 +148,7 @@ class Placing:
         )
         names: dict[str, int] = {}
         for i, vehicle in enumerate(self._starts):
-            at: Location = ("vehicles", i - 1) if i else (EGO,)
+            at = place_of(i)
             name = vehicles[i - 1].name if i else EGO
             if name in names:
                 raise ScenarioError((*at, "name"), f"'{name}' is already a vehicle")
