@@ -111,6 +111,10 @@ class BatchedEngine(Engine):
             held = held | self._is_prescribed
         if self._continuous:
             held = held | self._is_continuous
-        advance(scene, self._is_modelled, held, None if before_move is None else before_move())
+        put = None if before_move is None else before_move()
+        if put is None:  # which the argument would say too, but more slowly
+            advance(scene, self._is_modelled, held)
+        else:
+            advance(scene, self._is_modelled, held, put)
         if self._continuous:
             follow_no_lane(scene, self._is_continuous)

@@ -54,7 +54,7 @@ BeforeMove = Callable[[], Put | None]
 
 
 @compiled_of_scenes
-def advance(scene: Scene, modelled: Bools, held: Bools, put: Put | None) -> None:
+def advance(scene: Scene, modelled: Bools, held: Bools, put: Put | None = None) -> None:
     """One simulation step of every active scene, after the driver models have acted; see `move`.
 
     Vehicles are put somewhere before collisions are found; without any, no code for it is compiled.
