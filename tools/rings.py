@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from charms_bench.engine import Cast
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.registry import make_agent
@@ -94,7 +95,7 @@ def ring(
     )
     rows, idm = np.arange(densities.size), make_agent("idm_mobil")
     assert isinstance(idm, DriverModel)
-    engine = BatchedEngine(settings, densities.size, {1: idm})
+    engine = BatchedEngine(settings, densities.size, Cast({1: idm}))
     seeds = np.zeros(densities.size, dtype=np.uint64)
     engine.reset(rows, seeds, np.repeat([[0] + [1] * RING_VEHICLES], densities.size, axis=0))
     scene, gap = engine.scene, 1000 / densities[:, None]

@@ -14,13 +14,16 @@ it is equal to the last bit in a process that `testing.exact_maths` has prepared
 its bits depend on the processor, NumPy, OpenBLAS and the C library.
 """
 
-from collections.abc import Collection, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping
+from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine.seats import vacate
 from charms_bench.engine.stepping import BeforeMove
 from charms_bench.engine.views import Views
 from charms_bench.plugins.agent import DriverModel, Policy
@@ -33,47 +36,72 @@ if TYPE_CHECKING:
     from charms_bench.engine.state import SceneState
 
 
-class Engine(Protocol):
-    """B scenes of N vehicles that advance together."""
+class Cast(NamedTuple):
+    """The agents whose vehicles an engine moves, by their indices."""
+
+    models: Mapping[int, DriverModel] = MappingProxyType({})
+    """The driver models, in the order in which they act; `command` drives all other vehicles."""
+    continuous: Collection[int] = ()
+    """The agents with continuous actions."""
+    memory: int = 0
+    """The width of the scene's memory."""
+    prescribed: Collection[int] = ()
+    """The agents for whose vehicles `before_move` decides."""
+    own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({})
+    """The meta-actions of the agents that have other ones than highway-env's."""
+    policies: Mapping[int, Policy] = MappingProxyType({})
+    """The policies, whose observations decide how vehicles act on a road with a name."""
+
+    @property
+    def parameters(self) -> int:
+        """P of the scene."""
+        return max((len(model.parameters) for model in self.models.values()), default=0)
+
+
+class Engine(ABC):
+    """B scenes of N vehicles that advance together; nothing is spawned yet.
+
+    What is not abstract is as on the straight road, unless an engine says otherwise.
+    """
 
     drivers: Ints
     """[B, N] the index of each vehicle's agent."""
-    measures: Mapping[str, Floats]
-    """[B] what a road adds to the rows of episodes, by column; the straight road adds nothing."""
+    measures: Mapping[str, Floats] = MappingProxyType({})
+    """[B] what a road adds to the rows of episodes, by column."""
     goals: Bools
-    """[B] whether the ego has reached the goal of its road; the straight road has none."""
-    has_goal: bool
+    """[B] whether the ego has reached the goal of its road."""
+    has_goal = False
     """Whether the road has one."""
-    egos: int
+    egos = 1
     """How many of the first vehicles are egos, which the ego's agent drives."""
-    ego_index: int
+    ego_index = 0
     """Which of them is the ego of the next episodes, the vehicle at place 0."""
-    renewal_steps: int
+    renewal_steps = 0
     """After so many simulation steps each, a road lets vehicles enter and leave; 0 if never."""
-    arrivals: int
+    arrivals = 0
     """So many vehicles at most enter at random by `scene.inflow`."""
-
-    moments: Moments | None
+    moments: Moments | None = None
     """The moments of a recorded scene on a road in a file; None if there are none."""
+    scene: Scene
+    """The scenes along the ways of their egos; to be asked for anew after a step."""
+    state: Scene
+    """All vehicles where they are on the road; on the straight road, it is `scene` itself."""
 
-    @property
-    def scene(self) -> Scene:
-        """The scenes along the ways of their egos; to be asked for anew after a step."""
+    def __init__(self, settings: SceneSettings, scenes: int, cast: Cast) -> None:
+        self._settings, self._models = settings, dict(cast.models)
+        self._continuous, self._prescribed = list(cast.continuous), list(cast.prescribed)
+        self.drivers = np.zeros((scenes, settings.vehicles), dtype=np.int64)
+        self.goals = np.zeros(scenes, dtype=np.bool_)
 
-    @property
-    def state(self) -> Scene:
-        """All vehicles where they are on the road; on the straight road, it is `scene` itself."""
-
+    @abstractmethod
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
-        """Spawns new scenes, whose vehicles stand at their places in the order of entry.
+        """Spawns the scenes `rows` (R,), with vehicles at their places in the order of entry.
 
-        Args:
-            rows: (R,) the scenes to spawn.
-            seeds: (R,) their seeds; a scene depends on its seed and the settings alone.
-            agents: (R, N) the agent of the ego, then those of the other vehicles by their places.
-            draws: (R, D) place the vehicles instead of the seeds; see `engine.draws`.
+        A scene depends on its seed and the settings alone. `agents` (R, N) are that of the ego,
+        then those of the other vehicles by their places. `draws` (R, D) place the vehicles instead
+        of the seeds; see `engine.draws`.
         """
 
     def settle(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
@@ -81,16 +109,20 @@ class Engine(Protocol):
 
         Both have been written into `state` and `drivers` while an episode lasts.
         """
+        vacate(self.scene, rows)
+        self.restore(rows, seeds)
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
         """What decides what follows in the scenes `rows` (R,), beside `state`; (R, W), W can be 0.
 
         The straight road has nothing.
         """
+        return np.zeros((rows.size, 0), dtype=np.uint8)
 
-    def check(self, state: "SceneState") -> None:
+    def check(self, state: "SceneState") -> None:  # noqa: B027  # the file of a state was checked
         """Raises an `InputError` if a state of these settings holds what no scene of a road can."""
 
+    @abstractmethod
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
@@ -106,19 +138,33 @@ class Engine(Protocol):
         They are numbered in the order of entry. Their drivers are the `agents` (R, A), as indices,
         in this order, and then again from the first on. `times_s` (R,) have passed since the start.
         """
+        return rows[:0], rows[:0]
 
     def plan(self, row: int) -> Plan | None:
         """Where the vehicles of a scene are on its road, for pictures; None if it is straight."""
+        return None
 
     def views(self) -> Views:
         """What each vehicle sees along its own way, from now on; not of the straight road."""
+        raise NotImplementedError
 
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
         """The scenes as M vehicles see them, read-only, and these vehicles there."""
+        return self._shown, vehicles
 
+    @cached_property
+    def _shown(self) -> Scene:
+        return self.scene.read_only()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy makes the views anew: copied ones would be arrays in which nothing happens."""
+        return {name: value for name, value in vars(self).items() if name != "_shown"}
+
+    @abstractmethod
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives each of M vehicles a meta-action, (M,), or a continuous one, (M, 2)."""
 
+    @abstractmethod
     def advance(self, hold_egos: bool = False, before_move: BeforeMove | None = None) -> None:
         """Advances every active scene by one simulation step.
 
@@ -130,26 +176,5 @@ class Engine(Protocol):
         """
 
 
-class MakeEngine(Protocol):
-    """The class of an engine, or what makes one."""
-
-    def __call__(
-        self,
-        settings: SceneSettings,
-        scenes: int,
-        models: Mapping[int, DriverModel],
-        continuous: Collection[int] = (),
-        memory: int = 0,
-        prescribed: Collection[int] = (),
-        own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
-        policies: Mapping[int, Policy] = MappingProxyType({}),
-    ) -> Engine:
-        """An engine of B scenes; nothing is spawned yet.
-
-        The driver models stand under the index of their agent, in the order in which they act.
-        `command` drives the vehicles of all other agents; the agents `continuous` have continuous
-        actions, and `before_move` decides what the vehicles of `prescribed` do. `memory` is the
-        width of the scene's memory. `own_actions` are the meta-actions of the agents that have
-        other ones than highway-env's, and `policies` are the policies, whose observations decide
-        how vehicles act on a road with a name.
-        """
+MakeEngine = Callable[[SceneSettings, int, Cast], Engine]
+"""The class of an engine, or what makes one."""

@@ -1,58 +1,38 @@
 """The engine of the straight road: thousands of scenes at once, compiled."""
 
-from collections.abc import Collection, Mapping
-from types import MappingProxyType
-
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine import Cast, Engine
 from charms_bench.engine.draws import draws_of
 from charms_bench.engine.meta_actions import choose_target_speeds, command, command_rule, obey
 from charms_bench.engine.motion import follow_no_lane
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.seats import mark_seats, seat, vehicles_of
-from charms_bench.engine.shown import Shown
 from charms_bench.engine.spawning import spawn, spawn_rule
-from charms_bench.engine.stepping import BeforeMove, advance, advance_put
+from charms_bench.engine.stepping import BeforeMove, advance
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import seeded
-from charms_bench.plugins.agent import DriverModel, Policy
-from charms_bench.world.actions import Actions, MetaAction, controls_of
+from charms_bench.world.actions import Actions, controls_of
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 
-class BatchedEngine(Shown):
+class BatchedEngine(Engine):
     """highway-env's behaviour over arrays `[B, N]`; see `charms_bench.engine`."""
 
-    def __init__(
-        self,
-        settings: SceneSettings,
-        scenes: int,
-        models: Mapping[int, DriverModel],
-        continuous: Collection[int] = (),
-        memory: int = 0,
-        prescribed: Collection[int] = (),
-        own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
-        policies: Mapping[int, Policy] = MappingProxyType({}),
-    ) -> None:
-        parameters = max((len(model.parameters) for model in models.values()), default=0)
-        self.state = self.scene = Scene.empty(settings, scenes, parameters, memory)
-        self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
-        self.measures: Mapping[str, Floats] = {}
-        self.goals = np.zeros(scenes, dtype=np.bool_)
-        self._settings = settings
+    def __init__(self, settings: SceneSettings, scenes: int, cast: Cast) -> None:
+        super().__init__(settings, scenes, cast)
+        self.state = self.scene = Scene.empty(settings, scenes, cast.parameters, cast.memory)
         self._spawn_rule = spawn_rule(settings)
         self._command_rule = command_rule(settings.profile)
-        self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_actions.items()}
-        self._models = models
-        self._continuous, self._prescribed = list(continuous), list(prescribed)
-        self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
-        shape = self.drivers.shape
-        self._is_modelled = np.zeros(shape, dtype=np.bool_)
-        self._is_ego = np.zeros(shape, dtype=np.bool_)
-        self._nobody = np.zeros(shape, dtype=np.bool_)
-        self._is_continuous = np.zeros(shape, dtype=np.bool_)
-        self._is_prescribed = np.zeros(shape, dtype=np.bool_)
+        self._own_rules = {
+            k: command_rule(settings.profile, own) for k, own in cast.own_actions.items()
+        }
+        models = list(cast.models)
+        self._are_models = np.isin(np.arange(max(models, default=0) + 1), models)
+        marks = np.zeros((5, *self.drivers.shape), dtype=np.bool_)
+        self._is_modelled, self._is_ego, self._nobody = marks[:3]
+        self._is_continuous, self._is_prescribed = marks[3:]
         self._vehicles: dict[tuple[int, bool], Vehicles] = {}
         """The active vehicles that each driver model drives, and those of them that are not egos;
         listed for the active scenes `_listed`."""
@@ -88,9 +68,6 @@ class BatchedEngine(Shown):
             self.scene.target_speed[rows] *= ~marked
             follow_no_lane(self.scene, self._is_continuous)
 
-    def saved(self, rows: Ints) -> NDArray[np.uint8]:
-        return np.zeros((rows.size, 0), dtype=np.uint8)
-
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
@@ -99,9 +76,6 @@ class BatchedEngine(Shown):
         self._vehicles.clear()
         locate(self.scene, rows)
         self._mark(rows)
-
-    def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
-        return self._shown, vehicles
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         if actions.ndim == 2:
@@ -138,9 +112,9 @@ class BatchedEngine(Shown):
         if self._continuous:
             held = held | self._is_continuous
         put = None if before_move is None else before_move()
-        if put is None:
+        if put is None:  # which the argument would say too, but more slowly
             advance(scene, self._is_modelled, held)
         else:
-            advance_put(scene, self._is_modelled, held, put)
+            advance(scene, self._is_modelled, held, put)
         if self._continuous:
             follow_no_lane(scene, self._is_continuous)

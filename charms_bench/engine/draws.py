@@ -64,9 +64,8 @@ class ReplayedDraws:
         ego = int(draws[0] * settings.ego_slots)
         is_drawn = np.ones(draws.size, dtype=np.bool_)
         is_drawn[[SPEED + 4 * ego, TEMPERAMENT + 4 * ego]] = False
-        self._left: list[float] = [*draws[is_drawn].tolist(), float(draws[TEMPERAMENT + 4 * ego])][
-            ::-1
-        ]
+        left = [*draws[is_drawn].tolist(), float(draws[TEMPERAMENT + 4 * ego])]
+        self._left: list[float] = left[::-1]
 
     def integers(self, low: int, high: int) -> int:
         """Returns an integer from `low` to `high` - 1."""

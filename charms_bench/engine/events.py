@@ -179,11 +179,9 @@ def closest(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
     """How close each ego is to touching another vehicle, if all keep their velocities.
 
     Vehicles are rectangles along the road. They touch once they overlap both along the road and
-    across it; a deceleration in the direction in which they overlap last avoids that.
-
-    Returns:
-        The least time (R,) until the ego touches a vehicle, s, at most `HORIZON_S`; and 1 over the
-        largest deceleration (R,) needed, s²/m, at most `HARMLESS_S2_PER_M`.
+    across it; a deceleration in the direction in which they overlap last avoids that. Returns the
+    least time (R,) until the ego touches a vehicle, s, at most `HORIZON_S`; and 1 over the largest
+    deceleration (R,) needed, s²/m, at most `HARMLESS_S2_PER_M`.
     """
     times = np.full(rows.size, HORIZON_S)
     inverse_decelerations = np.full(rows.size, HARMLESS_S2_PER_M)

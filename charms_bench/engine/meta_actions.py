@@ -108,12 +108,17 @@ def count_repeats(scene: Scene, b: int, i: int, sign: int, most: int) -> None:
 
 
 @compiled
-def nearest_target_speed(speed: float, change: int, speeds: Floats) -> float:
-    """[`MDPVehicle.speed_to_index` and `index_to_speed`], `change` indices further."""
+def index_of(speed: float, speeds: Floats) -> int:
+    """The index of the nearest target speed [`MDPVehicle.speed_to_index`]."""
     last = speeds.size - 1
     share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
-    nearest = min(max(round(share * last), 0), last)
-    return float(speeds[min(max(nearest + change, 0), last)])
+    return int(min(max(round(share * last), 0), last))
+
+
+@compiled
+def nearest_target_speed(speed: float, change: int, speeds: Floats) -> float:
+    """[`MDPVehicle.speed_to_index` and `index_to_speed`], `change` indices further."""
+    return float(speeds[min(max(index_of(speed, speeds) + change, 0), speeds.size - 1)])
 
 
 @compiled_of_scenes

@@ -58,22 +58,9 @@ class Turning(NamedTuple):
 @compiled
 def room_to_turn(vehicles: int) -> Turning:
     """Arrays for a block of so many vehicles."""
-    floats = np.empty((11, vehicles))
-    return Turning(
-        np.empty(vehicles, dtype=np.int64),
-        np.empty(vehicles, dtype=np.bool_),
-        floats[0],
-        floats[1],
-        floats[2],
-        floats[3],
-        floats[4],
-        floats[5],
-        floats[6],
-        floats[7],
-        floats[8],
-        floats[9],
-        floats[10],
-    )
+    marks = np.empty(vehicles, np.int64), np.empty(vehicles, np.bool_)
+    f = np.empty((11, vehicles))
+    return Turning(*marks, *(f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], f[9], f[10]))
 
 
 @compiled

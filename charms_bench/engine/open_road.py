@@ -45,18 +45,13 @@ class _Arrival(NamedTuple):
 
 
 class Inflow(Source):
-    """Vehicles that enter at the start of the road and leave at its end.
-
-    Raises:
-        InputError: Vehicles are driven from outside.
-    """
+    """Vehicles that enter at the start of the road and leave at its end."""
 
     def __init__(self, episodes: RunningEpisodes) -> None:
         super().__init__(episodes)
         if not episodes.egos_end_episodes:
-            raise InputError(
-                "scene.inflow: vehicles that enter need a driver; expected an ego only"
-            )
+            what = "vehicles that enter need a driver; expected an ego only"
+            raise InputError(f"scene.inflow: {what}")
         settings = episodes.settings
         assert settings.inflow is not None
         self._per_s = settings.inflow.vehicles_per_hour_and_lane * settings.lanes / 3600
@@ -89,35 +84,24 @@ class Inflow(Source):
         self._entered[rows] = last + 1 - episodes.settings.vehicles
 
     def after_step(self) -> None:
-        """Lets vehicles leave and enter after a simulation step.
-
-        Raises:
-            InputError: A scene is full.
-        """
+        """Lets vehicles leave and enter; raises an `InputError` if a scene is full."""
         episodes, scene = self._episodes, self._episodes.scene
         end = episodes.settings.profile.road_length_m
         changed = have_left(scene, end)
         if changed.any():
             vacate(scene, np.nonzero(changed)[0])
-        frames = episodes.frames
-        due = (
-            self._times_s[episodes.everyone, self._entered]
-            <= frames / episodes.settings.simulation_hz
-        )
+        times_s = episodes.frames / episodes.settings.simulation_hz
+        due = self._times_s[episodes.everyone, self._entered] <= times_s
         for row in np.nonzero(due & scene.active)[0]:
-            changed[row] |= self._enter(int(row), frames[row] / episodes.settings.simulation_hz)
+            changed[row] |= self._enter(int(row), times_s[row])
         if changed.any():
             rows = np.nonzero(changed)[0]
             episodes.engine.restore(rows, episodes.seeds[rows])
 
     def _enter(self, row: int, time_s: float) -> bool:
         """Lets vehicles enter a scene that have arrived until a time; returns whether any has."""
-        episodes, scene, c = (
-            self._episodes,
-            self._episodes.scene,
-            self._episodes.settings.profile.idm_mobil,
-        )
-        has_entered = False
+        episodes, scene, has_entered = self._episodes, self._episodes.scene, False
+        c = episodes.settings.profile.idm_mobil
         while self._times_s[row, self._entered[row]] <= time_s:
             newcomer = self._next[row] = self._next[row] or self._arrival(row)
             lane, room, leader_speed = entrance(scene, row, newcomer.length)
@@ -125,9 +109,8 @@ class Inflow(Source):
             if room < equilibrium_gap(speed, c):
                 break
             self._admit(row, newcomer, lane, speed)
-            episodes.engine.restore(
-                np.array([row]), episodes.seeds[[row]]
-            )  # the next vehicle sees it
+            # The next vehicle sees it.
+            episodes.engine.restore(np.array([row]), episodes.seeds[[row]])
             has_entered = True
         return has_entered
 
@@ -135,9 +118,8 @@ class Inflow(Source):
         """The next vehicle that enters a scene."""
         episodes, profile = self._episodes, self._episodes.settings.profile
         number = episodes.settings.vehicles + self._entered[row]
-        drawn = draw_vehicles(
-            episodes.settings, episodes.seeds[[row]], np.array([[number]]), np.array([[False]])
-        )
+        entry, is_ego = np.array([[number]]), np.array([[False]])
+        drawn = draw_vehicles(episodes.settings, episodes.seeds[[row]], entry, is_ego)
         desired, length, width = (float(each[0, 0]) for each in drawn)
         rng = np.random.default_rng([int(episodes.seeds[row]), STREAM, int(number)])
         share, temperament = rng.random(2).tolist()
@@ -157,8 +139,7 @@ class Inflow(Source):
                 f"{episodes.steps[row]}, with {scene.present[row].sum()} vehicles; use a larger "
                 "number"
             )
-        place = int(is_free.argmax())
-        at = (row, place)
+        at = row, int(is_free.argmax())
         _, y = position(scene.road, lane, 0.0, 0.0)
         period = scene.constants.idm_mobil.lane_change_period_s
         values = {
@@ -179,7 +160,7 @@ class Inflow(Source):
             getattr(scene, name)[at] = value
         episodes.engine.drivers[at] = self._agents[row, self._entered[row]]
         episodes.has_action[at], episodes.collision[at] = False, NO_COLLISION
-        set_parameters(episodes, np.array([row]), np.array([place]))
+        set_parameters(episodes, np.array(at[:1]), np.array(at[1:]))
         self._entered[row] += 1
         self._next[row] = None
 

@@ -6,7 +6,7 @@ scenario prescribes what cannot happen, and an ego that meets the wreck did not 
 
 import numpy as np
 
-from charms_bench.engine import MakeEngine
+from charms_bench.engine import Cast, MakeEngine
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.prescribed import Script
 from charms_bench.engine.seats import vacate
@@ -38,7 +38,7 @@ def _collide(
     settings: SceneSettings, numbers: Ints, is_there: Bools, make_engine: MakeEngine
 ) -> Bools:
     assert settings.scenario is not None
-    engine = make_engine(settings, numbers.size, {}, prescribed=[0])
+    engine = make_engine(settings, numbers.size, Cast(prescribed=[0]))
     rows, seeds = np.arange(numbers.size), numbers.astype(np.uint64)
     scene, before_move = engine.state, None
     if settings.network is None:

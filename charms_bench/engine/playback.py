@@ -52,9 +52,7 @@ class Played(NamedTuple):
 class Recorded(Source):
     """Vehicles that are at a recorded moment where an episode starts, and come and go after it.
 
-    Raises:
-        InputError: Vehicles are driven from outside.
-        DataError: The recordings cannot be read, or have changed.
+    A `DataError` says that the recordings cannot be read, or have changed.
     """
 
     is_foreseen = False  # a planner does not know what was recorded next
@@ -170,9 +168,8 @@ class RecordedOnRoad(Recorded):
     def __init__(self, episodes: RunningEpisodes) -> None:
         super().__init__(episodes)
         tracks, egos = self._moments.tracks, self._moments.vehicles[:, 0]
-        needs_ego = (
-            self._successor >= 0 or episodes.agents.index(episodes.ego_agent) in self._followers
-        )
+        ego = episodes.agents.index(episodes.ego_agent)
+        needs_ego = self._successor >= 0 or ego in self._followers
         if needs_ego and (tracks.first[egos] == tracks.last[egos]).any():
             raise InputError(
                 f"{episodes.settings.network}: the vehicle of a planning problem is not recorded, "

@@ -7,7 +7,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine import MakeEngine
+from charms_bench.engine import Cast, MakeEngine
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.endings import GOAL, RUNNING, TIME, are_off_road
 from charms_bench.errors import (
@@ -140,8 +140,8 @@ class RunningEpisodes:
         widths = (*self.kept_widths.values(), *(model.memory_width for model in models.values()))
         memory = max(memory, *widths, 0)
         self.prescribed = [k for k, name in enumerate(self.agents) if name == PRESCRIBED]
-        of_agents = models, continuous, memory, self.prescribed, self.own_actions, self.policies
-        self.engine = engine(settings, scenes, *of_agents)
+        cast = models, continuous, memory, self.prescribed, self.own_actions, self.policies
+        self.engine = engine(settings, scenes, Cast(*cast))
 
     @property
     def scene(self) -> Scene:
@@ -211,9 +211,8 @@ class RunningEpisodes:
     def blame(self, name: str, vehicles: Vehicles, what: str, wrong: int = 0) -> AgentError:
         """An agent's error about one of its M vehicles, given by its index."""
         row = vehicles[0][wrong]
-        return AgentError(
-            f"agent '{name}', episode {self.seeds[row]}, step {self.steps[row]}: {what}"
-        )
+        where = f"episode {self.seeds[row]}, step {self.steps[row]}"
+        return AgentError(f"agent '{name}', {where}: {what}")
 
 
 def _check_agent(name: str, agent: Agent, settings: SceneSettings) -> None:
@@ -230,11 +229,10 @@ def _check_agent(name: str, agent: Agent, settings: SceneSettings) -> None:
     steps = settings.simulation_hz / hz if isinstance(hz, Real) and hz > 0 else 0.5
     if not 1 <= steps <= 1e9 or steps != round(steps):
         fitting = settings.simulation_hz_for(float(hz)) if isinstance(hz, Real) else None
+        instead = f"; `simulation_hz: {fitting}` in the scene is" if fitting is not None else ""
         raise InputError(
             f"agent '{name}' decides {hz} times per second; simulation_hz "
-            f"{settings.simulation_hz} is not a multiple of this rate"
-            + f"; `simulation_hz: {fitting}` in the scene is"
-            * (fitting is not None)
+            f"{settings.simulation_hz} is not a multiple of this rate{instead}"
         )
 
 

@@ -16,12 +16,16 @@ from charms_bench.engine.collision_kinds import (
     are_noted,
     note_collisions,
 )
+from charms_bench.engine.crossing import Crossing
 from charms_bench.engine.endings import REAR_END, RUNNING, SIDE, end_episodes
+from charms_bench.engine.open_road import Inflow
 from charms_bench.engine.parameters import set_parameters
+from charms_bench.engine.playback import Recorded, RecordedOnRoad
+from charms_bench.engine.prescribed import Placed
 from charms_bench.engine.rollouts import Futures
 from charms_bench.engine.running import RunningEpisodes
 from charms_bench.engine.seats import vehicles_of
-from charms_bench.engine.sources import sources_of
+from charms_bench.engine.source import Drawn, Source
 from charms_bench.engine.state import SceneState, restore, state_of
 from charms_bench.engine.stepping import Put
 from charms_bench.errors import PLUGIN_ERRORS, BrokenWordError, InputError, raised
@@ -223,3 +227,20 @@ class Simulation(RunningEpisodes):
         has_collided = (self.ending == RUNNING) & (of_egos != NO_COLLISION)
         self.ending[has_collided] = REAR_END
         self.ending[has_collided & (of_egos == SIDE_COLLISION)] = SIDE
+
+
+def sources_of(episodes: RunningEpisodes) -> tuple[Source, ...]:
+    """The sources that the settings of episodes name, in the order in which they act.
+
+    Raises an `InputError` if vehicles of one that need drivers are driven from outside.
+    """
+    settings = episodes.settings
+    if settings.scenario is not None and settings.network is None:
+        return (Placed(episodes),)
+    if settings.recording is not None:
+        return (Recorded(episodes),)
+    if episodes.engine.moments is not None:
+        return (RecordedOnRoad(episodes), Crossing(episodes))
+    if episodes.engine.renewal_steps:
+        return (Drawn(episodes), Crossing(episodes))
+    return (Drawn(episodes), Inflow(episodes)) if settings.inflow else (Drawn(episodes),)

@@ -23,10 +23,8 @@ class Source:
     def start(self, rows: Ints, seats: Ints, draws: Floats | None) -> None:
         """Places vehicles in the scenes `rows` (R,), whose episodes begin.
 
-        Args:
-            rows: (R,) the scenes; `RunningEpisodes.seeds` has their seeds.
-            seats: (R, N) the agent of the ego, and then those of the other vehicles.
-            draws: (R, D) place drawn vehicles instead of the seeds; see `engine.draws`.
+        `seats` (R, N) are the agent of the ego, and then those of the other vehicles. `draws`
+        (R, D) place drawn vehicles instead of the seeds; see `engine.draws`.
         """
 
     def resume(self, rows: Ints) -> None:

@@ -117,11 +117,9 @@ class SceneState:
         return self.with_arrays({name: array[rows] for name, array in self.arrays().items()})
 
     def seated(self, places: Ints, agent: str) -> "SceneState":
-        """The same scenes, in which an agent drives one vehicle; see `driven_by`.
+        """The same scenes, in each of which an agent drives the vehicle at one of the places (S,).
 
-        Args:
-            places: (S,) the vehicle of each scene.
-            agent: Its name; empty for an ego that is driven from outside.
+        The name is empty for an ego that is driven from outside; see `driven_by`.
         """
         chosen = np.zeros(self.drivers.shape, dtype=np.bool_)
         chosen[np.arange(len(self)), places] = True
@@ -163,13 +161,7 @@ class SceneState:
     def joined_by(self, agent: str, lane: Ints, x: Floats, speed: Floats) -> "SceneState":
         """The same scenes, in each of which a vehicle of the profile's size enters an empty place.
 
-        It heads along its lane and wants the speed that it has.
-
-        Args:
-            agent: The name of its agent.
-            lane: (S,) its lanes.
-            x: (S,) its centres along the road, m.
-            speed: (S,) its speeds, m/s.
+        It heads along its lane (S,) at x (S,), m, and wants the speed (S,) that it has, m/s.
 
         Raises:
             InputError: A scene is full.
@@ -273,11 +265,7 @@ def restore(
 
 
 def check_settings(found: SceneSettings, expected: SceneSettings) -> None:
-    """Rejects a state of other scenes.
-
-    Raises:
-        InputError: The settings differ; the message names the first field that does.
-    """
+    """Rejects a state of other scenes; the `InputError` names the first field that differs."""
     if found is expected or found == expected:
         return
     if found.scenario != expected.scenario:

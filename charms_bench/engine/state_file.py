@@ -8,11 +8,11 @@ import hashlib
 import json
 import math
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from charms_bench.engine.collision_kinds import COLLISIONS
 from charms_bench.engine.endings import ENDINGS
@@ -24,6 +24,7 @@ from charms_bench.world.actions import ACTIONS_LIMIT, STEPS_LIMIT
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.scene import SceneSettings
 
+M = TypeVar("M", bound=BaseModel)
 FORMAT, VERSION = "charms-bench scene state", 6
 LIMIT_BYTES = 2**28
 LANES = 1_000_000
@@ -132,15 +133,14 @@ def _state_of(found: dict[str, Any]) -> SceneState:
         raise InputError(f"{name}: {'is missing' if name in known else 'unknown field'}")
     given, on_road = found["settings"], {}
     if "road" in found and isinstance(given, dict):  # which can have a single lane
-        on_road = {"network": _road_of(found["road"]), "lanes": given.get("lanes")}
+        on_road = {
+            "network": _validated(NamedRoad, "road", found["road"]),
+            "lanes": given.get("lanes"),
+        }
         given = {name: value for name, value in given.items() if name != "lanes"}
         if type(on_road["lanes"]) is not int or not 1 <= on_road["lanes"] <= LANES:
             raise InputError(f"settings.lanes: expected 1 to {LANES:,}")
-    try:
-        settings = SceneSettings.model_validate(given).model_copy(update=on_road)
-    except ValidationError as error:
-        location, what = first_problem(error)
-        raise InputError(f"{'.'.join(map(str, ('settings', *location)))}: {what}") from error
+    settings = _validated(SceneSettings, "settings", given).model_copy(update=on_road)
     agents, phase = found["agents"], found["phase"]
     if not isinstance(agents, list) or not all(isinstance(name, str) for name in agents):
         raise InputError("agents: expected a list of names")
@@ -155,12 +155,12 @@ def _state_of(found: dict[str, Any]) -> SceneState:
     return state
 
 
-def _road_of(value: Any) -> NamedRoad:
+def _validated(kind: type[M], name: str, value: Any) -> M:
     try:
-        return NamedRoad.model_validate(value)
+        return kind.model_validate(value)
     except ValidationError as error:
         location, what = first_problem(error)
-        raise InputError(f"{'.'.join(map(str, ('road', *location)))}: {what}") from error
+        raise InputError(f"{'.'.join(map(str, (name, *location)))}: {what}") from error
 
 
 def _network_of(value: Any) -> NDArray[np.uint8]:
@@ -181,14 +181,12 @@ def _array_of(name: str, value: Any) -> NDArray[Any]:
         ]
         if not all(type(word) is int and 0 <= word < 2**64 for word in words):
             raise InputError(f"{name}: expected integers from 0 to 2^64 - 1")
-        try:
-            return np.array(value, dtype=np.uint64)
-        except ValueError as error:
-            raise InputError(f"{name}: rows have different lengths") from error
     try:
-        array = np.asarray(value)
+        array = np.array(value, dtype=np.uint64 if name in _WORDS else None)
     except ValueError as error:
         raise InputError(f"{name}: rows have different lengths") from error
+    if name in _WORDS:
+        return array
     kinds, what = next(expected for names, *expected in _TYPES if name in names)
     is_empty = array.size == 0 and (name != "memory" or array.ndim != 3)
     if is_empty or array.dtype.kind not in kinds:
@@ -197,12 +195,9 @@ def _array_of(name: str, value: Any) -> NDArray[Any]:
 
 
 def check_state(state: SceneState) -> None:
-    """Rejects values that cannot occur in a simulation.
+    """Rejects values that cannot occur in a simulation with an `InputError` that names the field.
 
     On a road of highway-env, the engine checks its lanes and routes when it restores the state.
-
-    Raises:
-        InputError: A shape is wrong or a number out of range; the message names the field.
     """
     settings, scenes = state.settings, state.seeds.size
     for name in OF_SCENE:
@@ -233,10 +228,8 @@ def check_state(state: SceneState) -> None:
     for name in ("phase", *OF_SCENE):
         values = np.asarray(getattr(state, name))
         low, high = bounds.get(name, (-_LARGEST, _LARGEST))
-        if (
-            name not in (*_BOOLEANS, *_WORDS)
-            and (wrong := ~((low <= values) & (values <= high))).any()
-        ):
+        is_bounded = name not in (*_BOOLEANS, *_WORDS)
+        if is_bounded and (wrong := ~((low <= values) & (values <= high))).any():
             found = values[np.nonzero(wrong)][0] if values.ndim else values
             raise InputError(f"{name}: found {found}, expected {low:g} to {high:g}")
 

@@ -54,27 +54,22 @@ BeforeMove = Callable[[], Put | None]
 
 
 @compiled_of_scenes
-def advance(scene: Scene, modelled: Bools, held: Bools) -> None:
-    """One simulation step of every active scene, after the driver models have acted; see `move`."""
+def advance(scene: Scene, modelled: Bools, held: Bools, put: Put | None = None) -> None:
+    """One simulation step of every active scene, after the driver models have acted; see `move`.
+
+    Vehicles are put somewhere before collisions are found; without any, no code for it is compiled.
+    """
     vehicles = scene.x.shape[1]
     turning = room_to_turn(max(BLOCK_VEHICLES, vehicles))
     for first, after in blocks_of(scene.active, vehicles):
         move(scene, first, after, modelled, held, turning)
+        if put is not None:
+            put_vehicles(scene, first, after, put)
         sort_by_x(scene, first, after)
-        collide(scene, first, after)
-        find_neighbours(scene, first, after)
-
-
-@compiled_of_scenes
-def advance_put(scene: Scene, modelled: Bools, held: Bools, put: Put) -> None:
-    """Does the same as `advance`, and puts vehicles somewhere before collisions are found."""
-    vehicles = scene.x.shape[1]
-    turning = room_to_turn(max(BLOCK_VEHICLES, vehicles))
-    for first, after in blocks_of(scene.active, vehicles):
-        move(scene, first, after, modelled, held, turning)
-        put_vehicles(scene, first, after, put)
-        sort_by_x(scene, first, after)
-        collide(scene, first, after, put.follows)
+        if put is not None:
+            collide(scene, first, after, put.follows)
+        else:
+            collide(scene, first, after)
         find_neighbours(scene, first, after)
 
 

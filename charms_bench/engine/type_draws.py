@@ -70,8 +70,7 @@ def set_types(
 ) -> Floats:
     """Sets the sizes of the vehicles of the scenes `rows` (R,), whose egos are set already.
 
-    Returns:
-        Their desired speeds (R, N); see `draw_vehicles`.
+    Returns their desired speeds (R, N); see `draw_vehicles`.
     """
     at, is_ego = vehicles_at(scene, rows)
     desired, length, width = draw_vehicles(settings, seeds, scene.entry[at], is_ego)

@@ -31,10 +31,8 @@ class Views(Protocol):
         """Fills in `own` of some scenes (S,)."""
 
     def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:
-        """Fills in what M vehicles see, after `look`.
+        """Fills in what M vehicles see, scene after scene, after `look`.
 
-        Args:
-            vehicles: The vehicles, scene after scene.
-            after: (M,) after their rows in `seen`, which lie one after the other.
-            seen: The rows (`recording.primitives.SEEN`) to be filled in.
+        `after` (M,) is the place after their rows in `seen`, `recording.primitives.SEEN`, which lie
+        one after the other.
         """

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from charms_bench.envs.rendering import Frame, frame_of
-from charms_bench.roads.episodes import Episodes
-from charms_bench.roads.plan import plan_of
+from charms_bench.roads.episodes import Episodes, plan_of
 from charms_bench.world.plan import Lines, lines_of
 from charms_bench.world.scene import SceneSettings
 

@@ -18,7 +18,14 @@ from charms_bench.foundation.files import check_ending, reject_foreign, write_by
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.plan import Plan
 from charms_bench.world.road import position, width_at
-from charms_bench.world.road_network import NO_LINE, SOLID, SOLID_LINE, STRIPED, Network
+from charms_bench.world.road_network import (
+    NO_LINE,
+    SOLID,
+    SOLID_LINE,
+    STRIPED,
+    Network,
+    roads_after,
+)
 from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
 ENDING = ".xml"
@@ -167,7 +174,7 @@ def _following(road: Network, lane: int) -> list[int]:
     """The lanes that start where a lane ends."""
     row = road.lanes[lane]
     x, y = position(road, lane, row["length"], 0.0)
-    roads = road.successors[row["next_roads"] : row["next_roads"] + row["next_count"]].tolist()
+    roads = roads_after(road, lane)
     lanes = [k for first in roads for k in range(first, first + road.lanes["lanes"][first])]
     starts = {k: position(road, k, 0.0, 0.0) for k in lanes}
     return [k for k, (u, v) in starts.items() if math.hypot(u - x, v - y) <= TOUCHING_M]

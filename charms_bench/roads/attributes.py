@@ -26,12 +26,8 @@ def skip(scenes: Scenes, rows: Ints, count: int) -> None:
 def observe(scenes: Scenes, rows: Ints, attributes: Ints, noises: Floats, out: Floats) -> None:
     """Writes the attributes (B, A, 4) of the scenes `rows` (R,) [`AttributesObservation`].
 
-    Args:
-        scenes: The scenes.
-        rows: Those that are observed.
-        attributes: (A,) indices into `ATTRIBUTES`.
-        noises: (2,) the largest noise of the state and of its derivative.
-        out: The attributes.
+    `attributes` (A,) are indices into `ATTRIBUTES`, and `noises` (2,) the largest noise of the
+    state and of its derivative.
     """
     for b in rows:
         ego, state = scenes.vehicles[b, 0], scenes.generator[b]

@@ -109,15 +109,10 @@ def advance(
 ) -> None:
     """One simulation step of the scenes `rows`, after the agents have answered.
 
-    Args:
-        scenes: The scenes.
-        shown: The same, straightened as their egos see them, with the answers.
-        views: As each vehicle sees them, with the accelerations of driver models.
-        ways: The ways of the vehicles.
-        rows: (R,) the scenes to advance.
-        told: (R,) whether `shown` is the present moment; if not, the ego goes on as it did.
-        kinds: (B, N) what drives the vehicles.
-        put: Where the step ends for vehicles that follow a recording; None if there are none.
+    `shown` has them as their egos see them, with the answers, and `views` as each vehicle does,
+    with the accelerations of driver models. Where `told` (R,) says that `shown` is not the present
+    moment, the ego goes on as it did. `kinds` (B, N) are what drives the vehicles, and `put` is
+    where the step ends for those that follow a recording.
     """
     profile = shown.scene.constants
     can_reverse = profile.can_reverse and profile.speed_min < 0.0

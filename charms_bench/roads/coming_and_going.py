@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from charms_bench.engine.meta_actions import index_of
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
@@ -15,7 +16,7 @@ from charms_bench.roads.giving_way import LINE_M, SLOW_MPS
 from charms_bench.roads.inflow import ENTRY_M
 from charms_bench.roads.locating import coordinates_of, forget, locate
 from charms_bench.roads.looking_ahead import BRAKING_MPS2, speed_ahead
-from charms_bench.roads.routes import Routes, plan_way
+from charms_bench.roads.routes import Net, Routes, plan_way
 from charms_bench.roads.scenes import (
     COMMANDED,
     IDM,
@@ -25,7 +26,6 @@ from charms_bench.roads.scenes import (
     Row,
     Scenes,
     here_of,
-    index_of,
     list_by_place,
     place_near,
 )
@@ -119,19 +119,12 @@ def is_free(scenes: Scenes, b: int, i: int, lane: int, s: float) -> bool:
 
 @compiled
 def appear(
-    scenes: Scenes,
-    here: Here,
-    b: int,
-    at: tuple[int, int, float],
-    kind: int,
-    goal: int,
-    routes: Routes,
-    inside: Ints,
+    scenes: Scenes, here: Here, b: int, at: tuple[int, int, float], kind: int, goal: int, net: Net
 ) -> bool:
     """Puts a vehicle on a lane if there is space, as fast as it may be there.
 
     `at` is its place, the lane, and how far along it. An IDM vehicle draws its goal. It can stop
-    before the next junction; `inside` (L,) says which lanes are in junctions.
+    before the next junction.
     """
     i, lane, s = at
     row = scenes.road.lanes[lane]
@@ -143,7 +136,7 @@ def appear(
     vehicle = scenes.vehicles[b, i]
     locate(here, i)
     vehicle.target_lane, vehicle.goal = vehicle.lane, goal
-    vehicle.speed = set_off(scenes, here, b, i, routes, inside, row.length - s)
+    vehicle.speed = set_off(scenes, here, b, i, net, row.length - s)
     if kind == IDM:
         vehicle.target_speed = vehicle.speed
     else:
@@ -153,29 +146,27 @@ def appear(
 
 
 @compiled
-def set_off(
-    scenes: Scenes, here: Here, b: int, i: int, routes: Routes, inside: Ints, left_m: float
-) -> float:
+def set_off(scenes: Scenes, here: Here, b: int, i: int, net: Net, left_m: float) -> float:
     """Gives a vehicle its way, and returns how fast it may be so far from the end of its lane."""
     vehicle = scenes.vehicles[b, i]
     vehicle.speed_min = 0.0
     if vehicle.kind == IDM:
-        vehicle.goal = draw_goal(scenes, b, routes, vehicle.lane, 0.0, np.inf)
+        vehicle.goal = draw_goal(scenes, b, net.routes, vehicle.lane, 0.0, np.inf)
         draw_behaviour(scenes, b, i)
-    plan_way(vehicle, scenes.road, routes, vehicle.lane, True)
+    plan_way(vehicle, scenes.road, net.routes, vehicle.lane, True)
     speed = speed_ahead(here, i)
-    if vehicle.route_end > 1 and inside[vehicle.route_roads[1]]:
+    if vehicle.route_end > 1 and net.inside[vehicle.route_roads[1]]:
         speed = min(speed, math.sqrt(2 * BRAKING_MPS2 * max(left_m - LINE_M, 0.0)))
     return speed
 
 
 @compiled_of_scenes
-def send_on(scenes: Scenes, b: int, i: int, routes: Routes, inside: Ints) -> None:
+def send_on(scenes: Scenes, b: int, i: int, net: Net) -> None:
     """Gives a vehicle that has flowed in a goal."""
     here, vehicle = here_of(scenes, b), scenes.vehicles[b, i]
     forget(here, i)
     left_m = scenes.road.lanes[vehicle.lane].length - coordinates_of(here, i, vehicle.lane).s
-    speed = set_off(scenes, here, b, i, routes, inside, left_m)
+    speed = set_off(scenes, here, b, i, net, left_m)
     vehicle.speed = min(vehicle.speed, speed)
 
 
@@ -188,11 +179,9 @@ def aim_at(scenes: Scenes, rows: Ints, i: int, routes: Routes, goal: int) -> Non
 
 
 @compiled_of_scenes
-def place_all(
-    scenes: Scenes, rows: Ints, rule: Rule, everywhere: Places, routes: Routes, inside: Ints
-) -> None:
+def place_all(scenes: Scenes, rows: Ints, rule: Rule, everywhere: Places, net: Net) -> None:
     """Places the egos with their goals, and the other vehicles."""
-    road, places = scenes.road, scenes.vehicles.shape[1]
+    routes, road, places = net.routes, scenes.road, scenes.vehicles.shape[1]
     for b in rows:
         state, here = scenes.generator[b], here_of(scenes, b)
         scenes.steps[b] = 0
@@ -213,14 +202,14 @@ def place_all(
                 goal_s = 0.0
                 if goal < 0:  # it is the end of its own road, or as far as it can get
                     goal, goal_s = own_goal(routes, row.first), min(s + most, row.length)
-                if appear(scenes, here, b, (i, lane, s), COMMANDED, goal, routes, inside):
+                if appear(scenes, here, b, (i, lane, s), COMMANDED, goal, net):
                     scenes.vehicles[b, i].goal_s = goal_s
                     break
         for i in range(rule.egos, rule.vehicles):
             for _ in range(DRAWS):
                 lane = draw_lane(state, everywhere)
                 s = uniform(state, 0.0, road.lanes[lane].length)
-                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes, inside):
+                if appear(scenes, here, b, (i, lane, s), IDM, -1, net):
                     break
         list_by_place(scenes, b)
 
@@ -236,15 +225,7 @@ def own_goal(routes: Routes, first: int) -> int:
 
 @compiled_of_scenes
 def come_and_go(
-    scenes: Scenes,
-    rows: Ints,
-    rule: Rule,
-    starts: Places,
-    at_start: bool,
-    links: tuple[Ints, Ints],
-    routes: Routes,
-    inside: Ints,
-    happened: Ints,
+    scenes: Scenes, rows: Ints, rule: Rule, starts: Places, at_start: bool, net: Net, happened: Ints
 ) -> None:
     """Has vehicles find their ways, leave and come back; see the module."""
     for b in rows:
@@ -263,7 +244,7 @@ def come_and_go(
                 if happened[b, i] > 0:
                     vehicle.kind, has_changed = NOTHING, True
             if vehicle.kind > OBSTACLE:
-                find_route(scenes, b, i, rule, links, routes)
+                find_route(scenes, b, i, rule, net)
         for i in range(rule.egos, here.places if rule.entering_draws else 0):
             if scenes.vehicles[b, i].kind != NOTHING:
                 continue
@@ -273,7 +254,7 @@ def come_and_go(
                 s = min(ENTRY_M, length)
                 if not at_start:
                     s = uniform(scenes.generator[b], 0.0, length)
-                if appear(scenes, here, b, (i, lane, s), IDM, -1, routes, inside):
+                if appear(scenes, here, b, (i, lane, s), IDM, -1, net):
                     has_changed = True
                     if happened[b, i] == 0:
                         happened[b, i] = ENTERED
@@ -303,14 +284,12 @@ def fate(scenes: Scenes, b: int, i: int, rule: Rule) -> int:
 
 
 @compiled
-def find_route(
-    scenes: Scenes, b: int, i: int, rule: Rule, links: tuple[Ints, Ints], routes: Routes
-) -> None:
+def find_route(scenes: Scenes, b: int, i: int, rule: Rule, net: Net) -> None:
     """Gives a vehicle the next steps of its way, and a new goal where it needs one.
 
     The ego keeps its goal as long as it can reach it.
     """
-    road, vehicle = scenes.road, scenes.vehicles[b, i]
+    road, vehicle, routes = scenes.road, scenes.vehicles[b, i], net.routes
     lane = vehicle.lane
     if road.lanes[vehicle.target_lane].first == road.lanes[lane].first:
         lane = vehicle.target_lane
@@ -322,10 +301,9 @@ def find_route(
     if vehicle.goal >= 0 and is_at_end and vehicle.lane == vehicle.target_lane:
         misses = routes.free[vehicle.goal, lane] == 0.0
         misses = misses or not routes.distance[vehicle.goal, lane] < np.inf
-        flat, ends = links
-        begin = ends[lane - 1] if lane > 0 else 0
-        if misses and ends[lane] > begin:
-            after = flat[integers(scenes.generator[b], begin, ends[lane])]
+        begin = net.ends[lane - 1] if lane > 0 else 0
+        if misses and net.ends[lane] > begin:
+            after = net.links[integers(scenes.generator[b], begin, net.ends[lane])]
             is_lost = not routes.distance[vehicle.goal, after] < np.inf
             if i >= rule.egos or is_lost:
                 vehicle.goal = draw_goal(scenes, b, routes, after, 0.0, np.inf)

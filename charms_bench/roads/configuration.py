@@ -71,11 +71,7 @@ class MetaActions(NamedTuple):
 
 
 def checked(default: Mapping[str, Any], config: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The default configuration with the values of another.
-
-    Raises:
-        InputError: A key is unknown, or its value is not supported.
-    """
+    """The default configuration with the values of another, which can raise an `InputError`."""
     if not isinstance(config or {}, Mapping):
         raise InputError(f"config: {config!r}; expected a dictionary")
     found: dict[str, Any] = plain({**default, **(config or {})})
@@ -136,11 +132,7 @@ def plain(values: Any) -> Any:
 
 @contextmanager
 def named(what: str) -> Iterator[None]:
-    """Names the part of the configuration of which a value cannot be used.
-
-    Raises:
-        InputError: Something has been raised; an `InputError` is passed on.
-    """
+    """Names, in an `InputError`, the part of the configuration of which a value cannot be used."""
     try:
         yield
     except InputError:
@@ -150,11 +142,7 @@ def named(what: str) -> Iterator[None]:
 
 
 def meta_actions(config: Mapping[str, Any]) -> MetaActions:
-    """The actions of a configuration.
-
-    Raises:
-        InputError: They are not supported.
-    """
+    """The actions of a configuration; raises an `InputError` if they are not supported."""
     known = {"longitudinal": True, "lateral": True, "target_speeds": None}
     action = options("action", config["action"], {"type": "DiscreteMetaAction", **known})
     names = NAMES_BY_AXES.get((bool(action["longitudinal"]), bool(action["lateral"])))
@@ -182,10 +170,9 @@ def of_each_agent(config: Mapping[str, Any], what: str) -> tuple[dict[str, Any],
 
 
 def options(what: str, given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of `config[what]`, which may have the `known` keys; these are the defaults.
+    """The values of `config[what]`, of the same type as the `known` ones, which are the defaults.
 
-    Raises:
-        InputError: The type is another, or a key is unknown.
+    An `InputError` says which key is unknown.
     """
     if given.get("type") != known["type"]:
         raise InputError(

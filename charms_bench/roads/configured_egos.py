@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine.meta_actions import index_of
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
@@ -15,7 +16,7 @@ from charms_bench.roads.driving import command
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.locating import forget
 from charms_bench.roads.observing import Kinematics, observer_of
-from charms_bench.roads.scenes import Scenes, here_of, index_of
+from charms_bench.roads.scenes import Scenes, here_of
 from charms_bench.world.actions import Actions
 from charms_bench.world.highway_env_observation import HighwayEnv
 from charms_bench.world.observations import observation_of
@@ -26,9 +27,6 @@ class ConfiguredEgos:
 
     In highway-env, an observation is older than the vehicles that leave and enter after the
     decision. So where vehicles do, the observations from before are kept.
-
-    Raises:
-        InputError: The configuration is not supported on this road.
     """
 
     def __init__(self, policy: Policy, episodes: Episodes) -> None:

@@ -13,7 +13,7 @@ from charms_bench.maps.road_map import MapLane, MapRoad
 from charms_bench.roads.fault import NO_RANK
 from charms_bench.world.interaction_observation import RANGE_M
 from charms_bench.world.road import heading_at, next_lane, position
-from charms_bench.world.road_network import Network
+from charms_bench.world.road_network import Network, roads_after
 
 MERGING, CROSSING = range(2)
 BEHIND, NOT_SAID, FIRST = -1, 0, 1
@@ -55,11 +55,7 @@ def conflicts(road: Network, ranks: Ints) -> Conflicts:
 
     Where ranks say nothing, the vehicle of a lane that ends gives way to those beside it. Where
     they are equal, the one that has the other on its right gives way at a crossing (Vienna
-    Convention on Road Traffic, Article 18).
-
-    Args:
-        road: The lanes.
-        ranks: (L,) a lane has the right of way over those with a lower rank; see `fault.Fault`.
+    Convention on Road Traffic, Article 18). `ranks` (L,) are those of `fault.Fault`.
     """
     count = road.lanes.size
     after = [_after(road, lane) for lane in range(count)]
@@ -102,14 +98,10 @@ def _after(road: Network, lane: int) -> list[int]:
 
     Those that start beside its end follow it only if it ends there.
     """
-    row = road.lanes[lane]
-    length = float(row["length"])
+    length = float(road.lanes["length"][lane])
     x, y = position(road, lane, length, 0.0)
-    first, heading = row["next_roads"], heading_at(road, lane, length)
-    found = [
-        int(next_lane(road, lane, following, -1, x, y))
-        for following in road.successors[first : first + row["next_count"]]
-    ]
+    heading = heading_at(road, lane, length)
+    found = [int(next_lane(road, lane, each, -1, x, y)) for each in roads_after(road, lane)]
     ahead = [each for each in found if math.cos(heading_at(road, each, 0.0) - heading) > 0]
     direct = [each for each in ahead if _aside(road, lane, each) <= ENDS_ASIDE_M]
     return direct or ahead

@@ -32,11 +32,7 @@ _RANGES = {"acceleration": (-5, 5.0), "steering": (-math.pi / 4, math.pi / 4)}
 
 
 class Controls:
-    """The actions of a configuration, each of them a number from -1 to 1 for each axis.
-
-    Raises:
-        InputError: The configuration is not supported.
-    """
+    """The actions of a configuration, each of them a number from -1 to 1 for each axis."""
 
     target_speeds = np.linspace(20, 30, 3)
     """Only for rewards; the configuration's have no effect, as in highway-env."""
@@ -76,10 +72,8 @@ class Controls:
     def give(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], ego: int) -> Ints:
         """Gives the ego at a place in the scenes `rows` its actions (R, axes), or (R,) indices.
 
-        Accelerations and steering angles have the precision of the actions, as in highway-env.
-
-        Returns:
-            Meta-actions (R,) for `stepping.decide`, which have no effect.
+        Accelerations and steering angles have the precision of the actions, as in highway-env. The
+        meta-actions (R,) for `stepping.decide` that are returned have no effect.
         """
         vehicles, at = scenes.vehicles, (rows, ego)
         actions = actions if self._table is None else self._table[actions]
@@ -94,11 +88,7 @@ class Controls:
 
 
 def actions_of(config: Mapping[str, Any], supported: Sequence[str]) -> MetaActions | Controls:
-    """The actions of a configuration, of which an environment supports some types.
-
-    Raises:
-        InputError: They are not supported.
-    """
+    """The actions of a configuration; raises an `InputError` unless their type is supported."""
     name = config["action"].get("type")
     if name not in supported:
         expected = " or ".join(map(repr, supported))

@@ -5,6 +5,7 @@ Each function names the function of highway-env that it follows, operation for o
 
 import numpy as np
 
+from charms_bench.engine.meta_actions import index_of
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.compiled import (
@@ -16,7 +17,13 @@ from charms_bench.foundation.compiled import (
     wrap_to_pi,
 )
 from charms_bench.roads.linear import linear_acceleration, linear_steering
-from charms_bench.roads.locating import as_followed, coordinates_of, heading_on, width_on
+from charms_bench.roads.locating import (
+    as_followed,
+    coordinates_of,
+    distance_to,
+    heading_on,
+    width_on,
+)
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.safe_gap import is_safe
 from charms_bench.roads.scenes import (
@@ -38,7 +45,6 @@ from charms_bench.roads.scenes import (
     Row,
     batch_of,
     batched,
-    index_of,
     lane_of,
     number_of,
     put,
@@ -50,7 +56,7 @@ from charms_bench.world.bicycle import slip_to_turn, steering_of, towards_centre
 from charms_bench.world.idm_mobil import closing_speed, desired_gap, imposes_braking, mobil
 from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import next_lane
-from charms_bench.world.road_network import Network
+from charms_bench.world.road_network import Network, leads_to
 
 
 @compiled
@@ -152,9 +158,8 @@ def take_next_lane(road: Network, here: Here, i: int) -> None:
         return
     if vehicle.route_step < vehicle.route_end:
         first = vehicle.route_roads[vehicle.route_step]
-        for k in range(row.next_roads, row.next_roads + row.next_count):
-            if road.successors[k] == first:
-                next_road, next_number = first, vehicle.route_numbers[vehicle.route_step]
+        if leads_to(road, target, first):
+            next_road, next_number = first, vehicle.route_numbers[vehicle.route_step]
     vehicle.target_lane = next_lane(road, target, next_road, next_number, vehicle.x, vehicle.y)
 
 
@@ -313,14 +318,6 @@ def expected_acceleration(driver: tuple[Here, int], i: int, j: int) -> float:
     if i < 0 or vehicle_of(here, i).kind <= OBSTACLE:
         return 0.0
     return free_acceleration(here, i, vehicle_of(here, own).exponent) - interaction(here, i, j)
-
-
-@inlined
-def distance_to(here: Here, i: int, j: int) -> float:
-    """How far vehicle j is ahead on the lane of vehicle i [`RoadObject.lane_distance_to`]."""
-    lane = vehicle_of(here, i).lane
-    distance = coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s
-    return as_followed(here, i, j, distance)
 
 
 @inlined

@@ -11,24 +11,23 @@ models before it. All vehicles of one model see the scene as it was before any o
 the vehicles of the environment decide, and all move.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from functools import cached_property
 from itertools import chain
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine import Cast, Engine
 from charms_bench.engine.meta_actions import command, command_rule, nearest_target_speed, obey
 from charms_bench.engine.seats import vehicles_of
-from charms_bench.engine.shown import Shown
 from charms_bench.engine.state import ARRAYS, SceneState
 from charms_bench.engine.stepping import BeforeMove
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded, with_draws
-from charms_bench.plugins.agent import DriverModel, Policy
+from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.carrying_out import (
     BY_CONFIGURATION,
     BY_CONTROLS,
@@ -42,12 +41,11 @@ from charms_bench.roads.carrying_out import (
 )
 from charms_bench.roads.configured_egos import configured
 from charms_bench.roads.entries import Entries
-from charms_bench.roads.episodes import episodes_of_agents
+from charms_bench.roads.episodes import episodes_of_agents, plan_of
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.inflow import RoadInflow
 from charms_bench.roads.interaction import RoadJunctions
 from charms_bench.roads.packed_arrays import check_values, pack, unpack, width_of
-from charms_bench.roads.plan import plan_of
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
@@ -64,7 +62,7 @@ from charms_bench.roads.settings import ONLY_EGOS, profiles_of, room_on
 from charms_bench.roads.sizes import set_types
 from charms_bench.roads.straightened import BEHIND, Ways
 from charms_bench.roads.views import RoadViews
-from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, MetaAction, controls_of
+from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, controls_of
 from charms_bench.world.plan import Lines, Plan, lines_of
 from charms_bench.world.scene import Scene, SceneSettings, Vehicles
 
@@ -79,38 +77,26 @@ EGO, OTHER_EGO, TRAFFIC = range(3)
 """The role of a vehicle: the ego whose rows are made, another ego, or none."""
 
 
-class RoadEngine(Shown):
+class RoadEngine(Engine):
     """B scenes of a road of highway-env as an `engine.Engine`; the ego is the first vehicle."""
 
-    def __init__(
-        self,
-        settings: SceneSettings,
-        scenes: int,
-        models: Mapping[int, DriverModel],
-        continuous: Collection[int] = (),
-        memory: int = 0,
-        prescribed: Collection[int] = (),
-        own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
-        policies: Mapping[int, Policy] = MappingProxyType({}),
-    ) -> None:
+    def __init__(self, settings: SceneSettings, scenes: int, cast: Cast) -> None:
+        super().__init__(settings, scenes, cast)
         assert settings.network is not None
         hz = settings.simulation_hz
         inflow = settings.inflow
         self.episodes = episodes_of_agents(settings.network, scenes, hz, room_on(settings))
         """The scenes on the network, of whose tables `state` is a view."""
-        parameters = max((len(model.parameters) for model in models.values()), default=0)
-        self._seen = Scene.empty(settings, scenes, parameters, memory)
-        self.configured = configured(policies, self.episodes)
+        self._seen = Scene.empty(settings, scenes, cast.parameters, cast.memory)
+        self.configured = configured(cast.policies, self.episodes)
         """The egos that observe and act by a configuration of highway-env, by their agents."""
         self._moved = np.zeros(scenes, dtype=np.bool_)
         """[B] whether vehicles have moved since `_seen` was straightened."""
         shape = self._seen.x.shape
-        self.drivers = np.zeros(shape, dtype=np.int64)
         self._seeds = np.zeros(scenes, dtype=np.uint64)
         self._present = np.zeros(shape, dtype=np.bool_)
         """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
-        self.goals: Bools = np.zeros(scenes, dtype=np.bool_)
-        self.egos, self.ego_index = self.episodes.task.egos, 0
+        self.egos = self.episodes.task.egos
         on_network, task = self.episodes.scenes, self.episodes.task
         on_network.constants["mixed_sizes"] = bool(settings.vehicle_types)
         self.has_goal = task.has_goal
@@ -125,26 +111,21 @@ class RoadEngine(Shown):
         if task.comes_and_goes:
             self.renewal_steps = round(hz / self.episodes.config["policy_frequency"])
         self.moments = task.moments
-        self._followers = [k for k, model in models.items() if model.follows_recording]
+        self._followers = [k for k, model in cast.models.items() if model.follows_recording]
         self.arrivals = self._inflow.most if self._inflow else 0
         self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
         self._fault = Fault(scenes, on_network, task.ranks(on_network))
-        self.measures: Mapping[str, Floats] = {
-            "at_fault_on_road": self._fault.at_fault,
-            **self._entries.measures,
-        }
+        self.measures = {"at_fault_on_road": self._fault.at_fault, **self._entries.measures}
         self._kinds = np.zeros(shape, dtype=np.int64)
         """[B, N] what drives each vehicle."""
         self._ways = Ways.empty(*shape)
-        self._settings, self._models = settings, models
-        self._continuous, self._prescribed = list(continuous), list(prescribed)
         if self._script is not None:  # prescribed vehicles are put where they are to be
             self._followers, self._prescribed = self._prescribed, []
         profiles, default = profiles_of(settings), {-1: DEFAULT_ACTIONS}
         self._rules = {
             (k, is_ego): command_rule(profile, own)
             for is_ego, profile in zip((True, False), profiles, strict=True)
-            for k, own in (default | {**own_actions}).items()
+            for k, own in (default | {**cast.own_actions}).items()
         }
         """How meta-actions are carried out, by the index of an agent and whether it is an ego's.
         Under -1 for agents with highway-env's meta-actions."""
@@ -165,7 +146,7 @@ class RoadEngine(Shown):
             self._moved[rows] = False
 
     @cached_property
-    def state(self) -> Scene:
+    def state(self) -> Scene:  # type: ignore[override]  # nobody sets it
         """The vehicles on the network: the columns of its table, and what agents add to them."""
         scenes = self.episodes.scenes
         arrays: dict[str, Any] = {name: scenes.vehicles[each] for name, each in _COLUMNS.items()}

@@ -21,7 +21,7 @@ from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.world.road import local_coordinates
-from charms_bench.world.road_network import Network
+from charms_bench.world.road_network import Network, roads_after
 
 RANGE_M = 100.0
 IMPOSED_S = 2.0
@@ -51,13 +51,7 @@ meets: Whether the follower may still reach the place.
 
 
 class Entries:
-    """The entries of B scenes.
-
-    Args:
-        count: B.
-        scenes: The scenes.
-        main: (L,) whether others have the right of way on each lane.
-    """
+    """The entries of B scenes; `main` (L,) says on which lanes others have the right of way."""
 
     def __init__(self, count: int, scenes: Scenes, main: Bools) -> None:
         self.table = np.zeros(count, ENTRY)
@@ -106,9 +100,7 @@ def _beside(road: Network, lane: int, main: Bools, side: int) -> int:
     first = road.lanes["first"]
     for other in np.nonzero(main & (np.arange(main.size) - first == lane - first[lane]))[0]:
         source, following = (lane, other) if side > 0 else (other, lane)
-        row = road.lanes[source]
-        after = road.successors[row["next_roads"] : row["next_roads"] + row["next_count"]]
-        if first[following] in after:
+        if first[following] in roads_after(road, int(source)):
             return int(other)
     return -1
 

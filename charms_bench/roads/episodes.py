@@ -19,10 +19,11 @@ from charms_bench.roads.controls import Controls, actions_of
 from charms_bench.roads.defaults import DEFAULTS, MOST_STEPS, SPLIT
 from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
 from charms_bench.roads.observing import Kinematics, Observed, observer_of
-from charms_bench.roads.scenes import NOTHING, Scenes, place
+from charms_bench.roads.scenes import LANDMARK, NOTHING, OBSTACLE, Scenes, place
 from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
+from charms_bench.world.plan import OF_VEHICLES, Lines, Plan
 from charms_bench.world.profile import HIGHWAY_ENV
 
 Seen = Observed | tuple[Observed, ...]
@@ -153,20 +154,13 @@ class Episodes:
         return EpisodesState(self._identity, arrays, deepcopy(seen))
 
     def restore(self, state: EpisodesState) -> Seen:
-        """Continues from a state; returns its last observations.
-
-        Raises:
-            InputError: It is no such state, or of another environment, configuration or number of
-                episodes.
-        """
+        """Continues from a state of the same episodes; returns its last observations."""
         if not isinstance(state, EpisodesState):
-            raise InputError(
-                f"set_state: found {type(state).__name__}, expected a state of get_state"
-            )
+            found = type(state).__name__
+            raise InputError(f"set_state: found {found}, expected a state of get_state")
         if state.environment != self._identity:
-            raise InputError(
-                f"set_state: the state is of {state.environment}; expected {self._identity}"
-            )
+            what = f"the state is of {state.environment}; expected {self._identity}"
+            raise InputError(f"set_state: {what}")
         for array, saved in zip(self._kept, state.arrays, strict=True):
             array[:] = saved
         return deepcopy(state.seen)
@@ -223,22 +217,27 @@ def episodes_of_agents(road: NamedRoad, count: int, simulation_hz: int, room: in
 
     Where the environment's actions are accelerations and steering angles, the ego starts as it does
     with meta-actions.
-
-    Raises:
-        InputError: See `Episodes`.
     """
     name = road.environment
     config: dict[str, Any] = {**(road.configuration or {}), "simulation_frequency": simulation_hz}
     if road.file is not None:
         config |= {"file": str(road.file), "sha256": road.sha256}
     is_continuous = DEFAULTS[name]["action"]["type"] == "ContinuousAction"
-    if is_continuous and _takes_meta_actions(name):
+    if is_continuous and "DiscreteMetaAction" in _task_of(name).actions:
         config["action"] = {"type": "DiscreteMetaAction", "lateral": False}
     return Episodes(name, count, config, room)
 
 
-def _takes_meta_actions(name: str) -> bool:
-    return "DiscreteMetaAction" in _task_of(name).actions
+def plan_of(lines: Lines, scenes: Scenes, b: int) -> Plan:
+    """The plan of scene b, whose network has these lines."""
+    vehicles = scenes.vehicles[b]
+    return Plan(
+        road=scenes.road,
+        lines=lines,
+        present=vehicles["kind"] != NOTHING,
+        is_obstacle=np.isin(vehicles["kind"], (LANDMARK, OBSTACLE)),
+        **{name: vehicles[name].copy() for name in OF_VEHICLES[1:]},
+    )
 
 
 def _task_of(name: str) -> type[Task]:

@@ -15,8 +15,16 @@ from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.generator import choice, uniform
 from charms_bench.roads.layout import WIDTH_M, Edge, straight_lanes
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
-from charms_bench.roads.task import Task, plan_route, share, wanted_lane, weighted
-from charms_bench.world.road import heading_at, local_coordinates
+from charms_bench.roads.task import (
+    Reward,
+    Task,
+    head_for,
+    plan_route,
+    reward_of,
+    speed_term,
+    wanted_lane,
+)
+from charms_bench.world.road import local_coordinates
 from charms_bench.world.road_network import CircularLane
 
 RADIUS_M = 150.0
@@ -38,9 +46,6 @@ class Rule(NamedTuple):
     spacing: float
     crowding: float
     """highway-env's factor for all distances; it falls with the number of lanes."""
-    speed_low: float
-    speed_high: float
-    normalises: bool
 
 
 class Exit(Task):
@@ -63,9 +68,6 @@ class Exit(Task):
             float(config["ego_spacing"]),
             1 / config["vehicles_density"],
             maths.exp(-5 / 40 * lanes),
-            float(config["reward_speed_range"][0]),
-            float(config["reward_speed_range"][1]),
-            bool(config["normalize_reward"]),
         )
         self._routes = self.layout.routes_to(["3"])
         numbers = np.arange(lanes)
@@ -96,10 +98,11 @@ class Exit(Task):
         _start(scenes, rows, self._rule, self._routes, self._weights_of_lanes)
 
     def send(self, scenes: Scenes, b: int, i: int) -> None:
-        _send(scenes, b, i, self._routes)
+        head_for(scenes, np.array([b]), i, self._routes)
+        scenes.vehicles["changes_lanes"][b, i] = False
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
-        _judge(scenes, rows, self.weights, self._rule, rewards)
+        _judge(scenes, rows, self.reward, self._rule, rewards)
 
     def navigate(self, scenes: Scenes, rows: Ints) -> None:
         """Has the egos change to the right lane, and to the lane of the exit where it begins."""
@@ -115,13 +118,10 @@ class Exit(Task):
         return np.asarray(scenes.vehicles["lane"][:, 0] == self._rule.exit_ramp)
 
     def information(self, scenes: Scenes) -> dict[str, Any]:
-        return {"is_success": self._is_success(scenes)}
-
-    def _is_success(self, scenes: Scenes) -> Bools:
         """[`ExitEnv._is_success`]"""
         ego = scenes.vehicles[:, 0]
         lane = np.where(ego["kind"] == COMMANDED, ego["target_lane"], ego["lane"])
-        return np.asarray((lane == self._rule.exit_lane) | (lane == self._rule.exit_ramp))
+        return {"is_success": np.isin(lane, (self._rule.exit_lane, self._rule.exit_ramp))}
 
 
 @compiled_of_scenes
@@ -138,13 +138,6 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, routes: Ints, weights: Floats
             append(scenes, b, (i, i, IDM, lane), speed, rule.spacing, rule.crowding)
             plan_route(scenes, b, i, routes, 0)
             scenes.vehicles[b, i].changes_lanes = False
-
-
-@compiled_of_scenes
-def _send(scenes: Scenes, b: int, i: int, routes: Ints) -> None:
-    """Has a vehicle drive straight on."""
-    plan_route(scenes, b, i, routes, 0)
-    scenes.vehicles[b, i].changes_lanes = False
 
 
 @compiled
@@ -169,20 +162,18 @@ def append(
         s = max(s, there)
     scenes.order[b, count].place = i
     s += offset * uniform(scenes.generator[b], 0.9, 1.1)
-    put_on_lane(scenes, b, i, kind, lane, s, heading_at(road, lane, s), speed)
+    put_on_lane(scenes, b, i, kind, lane, s, speed)
 
 
 @compiled_of_scenes
-def _judge(scenes: Scenes, rows: Ints, weights: Floats, rule: Rule, out: Floats) -> None:
+def _judge(scenes: Scenes, rows: Ints, reward: Reward, rule: Rule, out: Floats) -> None:
     """[`ExitEnv._reward`, `ExitEnv._rewards`]"""
     for b in rows:
         ego = scenes.vehicles[b, 0]
         lane = wanted_lane(ego)
         out[b, 1] = ego.crashed
         out[b, 2] = lane == rule.exit_lane or lane == rule.exit_ramp
-        out[b, 3] = clip(share(ego.speed, rule.speed_low, rule.speed_high), 0.0, 1.0)
+        out[b, 3] = speed_term(reward, ego.speed)
         out[b, 4] = lane - scenes.road.lanes[lane].first
-        total = weighted(weights, out[b])
-        if rule.normalises:
-            total = clip(share(total, weights[0], weights[1]), 0.0, 1.0)
-        out[b, 0] = total
+        total = reward_of(reward, out[b], reward.weights[0], reward.weights[1])
+        out[b, 0] = clip(total, 0.0, 1.0) if reward.normalises else total

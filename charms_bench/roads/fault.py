@@ -39,14 +39,9 @@ from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.world.gaps import requires_braking
 from charms_bench.world.road import heading_at, is_on_lane, local_coordinates
-from charms_bench.world.road_network import Network
+from charms_bench.world.road_network import Network, roads_after
 from charms_bench.world.scene import Vehicles
-from charms_bench.world.thresholds import (
-    DRAC_LIMIT_MPS2,
-    DRIFT_MPS,
-    ENTERED_S,
-    LANE_KEEPING_M,
-)
+from charms_bench.world.thresholds import DRAC_LIMIT_MPS2, DRIFT_MPS, ENTERED_S, LANE_KEEPING_M
 
 REACTION_S = 0.75
 """That of the careful and competent driver of UN Regulation 157."""
@@ -81,11 +76,7 @@ class Track(NamedTuple):
 class Fault:
     """Judges the collisions of the egos of B scenes, and of other vehicles that are asked about.
 
-    Args:
-        count: B.
-        scenes: The scenes, of which the ego is the first vehicle.
-        ranks: (L,) a lane has the right of way over those with a lower rank; `NO_RANK` says
-            nothing.
+    A lane has the right of way over those with a lower rank (L,); `NO_RANK` says nothing.
     """
 
     def __init__(self, count: int, scenes: Scenes, ranks: Ints) -> None:
@@ -168,18 +159,12 @@ def _note(
 
 
 def ranks_of(road: Network, main: Bools) -> Ints:
-    """The ranks (L,) of a road on which the lanes that lead to others yield to them.
-
-    Args:
-        road: The road.
-        main: (L,) whether others yield to each lane.
-    """
+    """The ranks (L,) of a road on which lanes that lead to the lanes `main` (L,) yield to them."""
     lanes = road.lanes
     leads = main.copy()
     for _ in range(lanes.size):  # until nothing changes: a lane that leads to such a lane
-        for lane in np.nonzero(~leads)[0]:
-            row = lanes[lane]
-            after = road.successors[row["next_roads"] : row["next_roads"] + row["next_count"]]
+        for lane in np.nonzero(~leads)[0].tolist():
+            after = roads_after(road, lane)
             leads[lane] = any(leads[each : each + lanes["lanes"][each]].any() for each in after)
     return np.where(main, 1, np.where(leads, 0, NO_RANK)) if main.any() else np.full(main.size, -1)
 
@@ -189,17 +174,11 @@ def at_fault(
 ) -> tuple[bool, bool] | None:
     """Whether each of two vehicles that have just collided is at fault; None if it is undecided.
 
-    Args:
-        road: The lanes.
-        ranks: (L,) those of the lanes; see `Fault`.
-        one: The first vehicle.
-        other: The other vehicle, over the same T steps.
-        dt: The duration of a simulation step, s.
+    Their tracks have the same steps of `dt`, s; `ranks` (L,) are those of `Fault`.
     """
     recent, yielding = round(ENTERED_S / dt), round(YIELDING_S / dt)
-    is_back, other_is_back = (
-        bool(each.moments["speed"][-1] <= BACKWARDS_MPS) for each in (one, other)
-    )
+    speeds = [float(each.moments["speed"][-1]) for each in (one, other)]
+    is_back, other_is_back = (speed <= BACKWARDS_MPS for speed in speeds)
     if is_back != other_is_back:
         return is_back, other_is_back
     apart = float(other.moments["heading"][-1] - one.moments["heading"][-1])
@@ -212,9 +191,7 @@ def at_fault(
     has_ranks = NO_RANK not in (rank, other_rank)
     if has_ranks and rank != other_rank:
         return _of_intruder(rank < other_rank, one, other)
-    stands, other_stands = (
-        bool(each.moments["speed"][-1] <= STATIONARY_MPS) for each in (one, other)
-    )
+    stands, other_stands = (speed <= STATIONARY_MPS for speed in speeds)
     if stands != other_stands:
         return _of_struck(road, stands, one, other, recent)
     if cosine >= REAR_END_COS and (ahead := _ahead(one, other)) is not None:
@@ -307,12 +284,8 @@ def _points(track: Track, step: int) -> Floats:
 def _seen_from(one: Track, x: Any, y: Any) -> tuple[Any, Any]:
     """How far points are ahead of a vehicle's centre and to its right at the contact, m."""
     own = one.moments[-1]
-    cosine, sine, dx, dy = (
-        np.cos(own["heading"]),
-        np.sin(own["heading"]),
-        x - own["x"],
-        y - own["y"],
-    )
+    cosine, sine = np.cos(own["heading"]), np.sin(own["heading"])
+    dx, dy = x - own["x"], y - own["y"]
     return dx * cosine + dy * sine, dy * cosine - dx * sine
 
 
@@ -328,21 +301,22 @@ def _strikes(one: Track, other: Track) -> bool:
 
 def _ahead(one: Track, other: Track) -> Track | None:
     """The vehicle whose rear the other, faster one has hit; None if they touch at their sides."""
-    ahead, aside = _seen_from(one, other.moments["x"][-1], other.moments["y"][-1])
-    along = (one.length + other.length) / 2 - abs(ahead)
-    across = (one.width + other.width) / 2 - abs(aside)
-    struck, striking = (other, one) if ahead > 0 else (one, other)
+    how = _how(one, other, -1.0)
+    struck, striking = (other, one) if how == STRIKING else (one, other)
     is_faster = striking.moments["speed"][-1] > struck.moments["speed"][-1]
-    return struck if along < across and is_faster else None
+    return struck if how != SIDE_COLLISION and is_faster else None
 
 
-def _how(one: Track, other: Track) -> int:
-    """How a vehicle has collided with another one, as `collision_kinds` says of those in lanes."""
+def _how(one: Track, other: Track, least_cos: float = REAR_END_COS) -> int:
+    """How a vehicle has collided with another one, as `collision_kinds` says of those in lanes.
+
+    Where the cosine of the angle between the two is less, it is a side collision.
+    """
     ahead, aside = _seen_from(one, other.moments["x"][-1], other.moments["y"][-1])
     along = (one.length + other.length) / 2 - abs(ahead)
     across = (one.width + other.width) / 2 - abs(aside)
     apart = float(other.moments["heading"][-1] - one.moments["heading"][-1])
-    if along >= across or math.cos(apart) < REAR_END_COS:
+    if along >= across or math.cos(apart) < least_cos:
         return SIDE_COLLISION
     return STRIKING if ahead > 0 else STRUCK
 

@@ -32,12 +32,11 @@ from charms_bench.roads.coming_and_going import (
 from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.giving_way import (
     LINE_M,
-    MOST_AHEAD,
     RED,
     RED_BEFORE,
-    Ahead,
     give_way,
     look_along,
+    room_ahead,
 )
 from charms_bench.roads.goal_states import have_met
 from charms_bench.roads.inflow import ENTRY_M
@@ -45,12 +44,8 @@ from charms_bench.roads.layout import Edge
 from charms_bench.roads.map_lanes import driven_lanes, indices_of, levels_of, map_of
 from charms_bench.roads.meetings import Meetings, meetings_of
 from charms_bench.roads.recorded_scenes import enter, put_recorded, recorded_on, scene_of
-from charms_bench.roads.routes import Routes, routes_of
-from charms_bench.roads.scenes import (
-    IDM,
-    OBSTACLE,
-    Scenes,
-)
+from charms_bench.roads.routes import Net, Routes, routes_of
+from charms_bench.roads.scenes import IDM, OBSTACLE, Scenes
 from charms_bench.roads.task import Task
 from charms_bench.world.named_road import DRAWN
 from charms_bench.world.road import local_coordinates, width_at
@@ -108,7 +103,7 @@ class FileRoad(Task):
             beside = [*links[k], *before[k]]
             inside[k] = bool(links[k] and before[k]) and bool(is_inside[beside].all())
         self.links = links
-        self._meetings, self._inside = meetings_of(self.map, indices), inside
+        self._meetings = meetings_of(self.map, indices)
         firsts = np.unique(road.lanes["first"])
         outside = firsts[~is_inside[firsts]]
         goals = outside if outside.size else firsts
@@ -124,8 +119,8 @@ class FileRoad(Task):
             goals = np.union1d(goals, road.lanes["first"][used[used >= 0]])
         self.routes = routes_of(road, links, goals)
         flat = [after for each in links for after in each]
-        self._links = np.array(flat, dtype=np.int64)
-        self._ends = np.cumsum([len(each) for each in links])
+        ends = np.cumsum([len(each) for each in links])
+        self._net = Net(self.routes, inside, np.array(flat, dtype=np.int64), ends)
         self._last = np.full(len(links), np.inf)
         for k in [k for k, following in enumerate(links) if not following]:
             along = np.arange(float(road.lanes["length"][k]))
@@ -133,7 +128,7 @@ class FileRoad(Task):
             self._last[k] = 1.0 + along[wide].max(initial=LINE_M)
         every = np.nonzero(~is_inside)[0] if outside.size else np.arange(road.lanes.size)
         self._everywhere = _places(every, road.lanes["length"])
-        starts = np.setdiff1d(every, self._links)
+        starts = np.setdiff1d(every, flat)
         self._starts = _places(starts, np.ones(road.lanes.size)) if starts.size else None
         count = round(float(config["density"]) * float(road.lanes["length"].sum()) / 1000)
         if not 0 <= count <= MOST_VEHICLES:
@@ -156,7 +151,7 @@ class FileRoad(Task):
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         if self._recorded is None:
-            place_all(scenes, rows, self._rule, self._everywhere, self.routes, self._inside)
+            place_all(scenes, rows, self._rule, self._everywhere, self._net)
         else:
             numbers = np.zeros_like(rows) if self.numbers is None else self.numbers[rows]
             put_recorded(scenes, rows, numbers, self._recorded, self.routes)
@@ -186,7 +181,7 @@ class FileRoad(Task):
         return lanes[np.array(wide, dtype=np.bool_)]
 
     def send(self, scenes: Scenes, b: int, i: int) -> None:
-        send_on(scenes, b, i, self.routes, self._inside)
+        send_on(scenes, b, i, self._net)
 
     def head_for(self, scenes: Scenes, rows: Ints, i: int, destination: str) -> None:
         """Sends it to the end of the first road that leads to the node and is a goal."""
@@ -203,27 +198,14 @@ class FileRoad(Task):
     def follow(self, scenes: Scenes, rows: Ints) -> None:
         if self.happened.shape != scenes.vehicles.shape:
             self.happened = np.zeros(scenes.vehicles.shape, dtype=np.int64)
-        starts = self._everywhere if self._starts is None else self._starts
-        at_start = self._starts is not None
-        lists = self._links, self._ends
-        come_and_go(
-            scenes,
-            rows,
-            self._rule,
-            starts,
-            at_start,
-            lists,
-            self.routes,
-            self._inside,
-            self.happened,
-        )
+        starts, at_start = self._starts or self._everywhere, self._starts is not None
+        come_and_go(scenes, rows, self._rule, starts, at_start, self._net, self.happened)
         self._regulate(scenes, rows)
 
     def _regulate(self, scenes: Scenes, rows: Ints) -> None:
         """Says where vehicles stop."""
-        lists, interval = (self._links, self._ends), self._rule.interval
-        places = self._meetings, self._inside, self._lights, self._last
-        _regulate(scenes, rows, lists, *places, interval)
+        of_road = self._net, self._meetings, self._lights, self._last
+        _regulate(scenes, rows, *of_road, self._rule.interval)
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the road of its goal, as far along as that is.
@@ -278,30 +260,18 @@ def _places(lanes: Ints, weights: Floats) -> Places:
 def _regulate(
     scenes: Scenes,
     rows: Ints,
-    links: tuple[Ints, Ints],
+    net: Net,
     meetings: Meetings,
-    inside: Ints,
     lights: Lights,
     ends: Floats,
     interval: float,
 ) -> None:
     """Says where the vehicles of the scenes `rows` stop."""
-    is_red = np.zeros(scenes.road.lanes.size, dtype=np.int64)
-    count = scenes.vehicles.shape[1]
-    ahead = Ahead(
-        np.zeros((count, MOST_AHEAD), dtype=np.int64),
-        np.zeros((count, MOST_AHEAD)),
-        np.zeros(count, dtype=np.int64),
-        np.zeros(scenes.road.lanes.size, dtype=np.int64),
-        np.zeros(count * MOST_AHEAD, dtype=np.int64),
-        np.zeros(count),
-        np.zeros(count, dtype=np.int64),
-        np.zeros(count, dtype=np.bool_),
-    )
+    ahead = room_ahead(scenes.vehicles.shape[1], scenes.road.lanes.size)
     for b in rows:
-        show_lights(lights, scenes.steps[b] * interval, is_red)
-        look_along(scenes, b, links, ahead)
-        give_way(scenes, b, meetings, inside, is_red, ends, ahead)
+        show_lights(lights, scenes.steps[b] * interval, ahead.is_red)
+        look_along(scenes, b, net, ahead)
+        give_way(scenes, b, meetings, net.inside, ends, ahead)
 
 
 @compiled_of_scenes

@@ -23,6 +23,7 @@ import numpy as np
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
 from charms_bench.roads.meetings import GIVES_WAY, UNKNOWN, Meetings
+from charms_bench.roads.routes import Net
 from charms_bench.roads.scenes import OBSTACLE, Row, Scenes
 from charms_bench.world.road import local_coordinates
 from charms_bench.world.road_network import Network
@@ -64,13 +65,32 @@ class Ahead(NamedTuple):
     """[N] when each vehicle is at its next junction, less the time for which it has stood, s."""
     blocked: Ints
     """[N] the lane before the junction that a vehicle has no room to enter; -1 for none."""
+    is_red: Ints
+    """[L] `RED` or `RED_BEFORE`; 0 without a red light."""
     is_held: Bools
     """[N] whether it does not enter the junction: a wreck, at a red light, without room or in a
     queue."""
 
 
 @compiled
-def look_along(scenes: Scenes, b: int, links: tuple[Ints, Ints], ahead: Ahead) -> None:
+def room_ahead(vehicles: int, lanes: int) -> Ahead:
+    """Arrays for so many vehicles and lanes."""
+    shape, count = (vehicles, MOST_AHEAD), vehicles * MOST_AHEAD
+    return Ahead(
+        np.zeros(shape, np.int64),
+        np.zeros(shape),
+        np.zeros(vehicles, np.int64),
+        np.zeros(lanes, np.int64),
+        np.zeros(count, np.int64),
+        np.zeros(vehicles),
+        np.zeros(vehicles, np.int64),
+        np.zeros(lanes, np.int64),
+        np.zeros(vehicles, np.bool_),
+    )
+
+
+@compiled
+def look_along(scenes: Scenes, b: int, net: Net, ahead: Ahead) -> None:
     """Finds the ways of the vehicles of scene b."""
     road = scenes.road
     ahead.first[:] = -1
@@ -95,34 +115,27 @@ def look_along(scenes: Scenes, b: int, links: tuple[Ints, Ints], ahead: Ahead) -
                 step += 1
             if count == MOST_AHEAD or start > LOOK_M or step >= vehicle.route_end:
                 break
-            lane = lane_after(road, links, lane, vehicle.route_roads[step])
+            lane = lane_after(road, net, lane, vehicle.route_roads[step])
         ahead.counts[i] = count
 
 
 @compiled
-def lane_after(road: Network, links: tuple[Ints, Ints], lane: int, first: int) -> int:
+def lane_after(road: Network, net: Net, lane: int, first: int) -> int:
     """The lane of a road to which a lane leads; that with its number if it leads to none."""
-    flat, ends = links
-    for k in range(ends[lane - 1] if lane > 0 else 0, ends[lane]):
-        if road.lanes[flat[k]].first == first:
-            return int(flat[k])
+    for k in range(net.ends[lane - 1] if lane > 0 else 0, net.ends[lane]):
+        if road.lanes[net.links[k]].first == first:
+            return int(net.links[k])
     return int(first + min(lane - road.lanes[lane].first, road.lanes[first].lanes - 1))
 
 
 @compiled
 def give_way(
-    scenes: Scenes,
-    b: int,
-    meetings: Meetings,
-    inside: Ints,
-    is_red: Ints,
-    ends: Floats,
-    ahead: Ahead,
+    scenes: Scenes, b: int, meetings: Meetings, inside: Ints, ends: Floats, ahead: Ahead
 ) -> None:
     """Says where the vehicles of scene b stop.
 
-    `inside` (L,) says which lanes are in junctions, `is_red` (L,) which have a red light, `RED` or
-    `RED_BEFORE`, and `ends` (L,) how far along those that lead to no other lane can be driven, m.
+    `inside` (L,) says which lanes are in junctions, and `ends` (L,) how far along those that lead
+    to no other lane can be driven, m.
     """
     for i in range(scenes.vehicles.shape[1]):
         vehicle, start = scenes.vehicles[b, i], 0.0
@@ -141,7 +154,7 @@ def give_way(
         end = ahead.starts[i, 1] if ahead.counts[i] > 1 else -np.inf
         if end - LINE_M + MARGIN_M >= braking_way(vehicle):
             is_blocked = ahead.blocked[i] == ahead.lanes[i, 0]
-            ahead.is_held[i] |= is_blocked or has_red(i, 0, is_red, ahead)
+            ahead.is_held[i] |= is_blocked or has_red(i, 0, ahead)
         if vehicle.speed < SLOW_MPS and ahead.counts[i] > 0 and not inside[ahead.lanes[i, 0]]:
             ahead.is_held[i] |= is_behind(i, ahead)
     for i in range(scenes.vehicles.shape[1]):
@@ -160,13 +173,13 @@ def give_way(
                 enters = start + meetings.begins[c]
                 if enters < 0.0 or enters > LOOK_M:
                     continue
-                if waits(scenes, b, (i, k), c, meetings, inside, ahead):
+                if waits(scenes, b, (i, k, c), meetings, inside, ahead):
                     if line_lane >= 0:
                         line = scenes.road.lanes[line_lane].length - LINE_M
                         stop(scenes, b, i, line_lane, line)
                     if scenes.vehicles[b, i].stop_lane < 0:
                         stop(scenes, b, i, lane, meetings.begins[c] - MARGIN_M)
-            if has_red(i, k, is_red, ahead) and scenes.vehicles[b, i].stop_lane < 0:
+            if has_red(i, k, ahead) and scenes.vehicles[b, i].stop_lane < 0:
                 stop(scenes, b, i, lane, scenes.road.lanes[lane].length - LINE_M)
             goes_on = scenes.road.lanes[lane].next_count > 0
             if ends[lane] < np.inf and goes_on and scenes.vehicles[b, i].stop_lane < 0:
@@ -176,11 +189,11 @@ def give_way(
 
 
 @compiled
-def has_red(i: int, k: int, is_red: Ints, ahead: Ahead) -> bool:
+def has_red(i: int, k: int, ahead: Ahead) -> bool:
     """Whether a light is red at the end of lane number k of the way of vehicle i."""
-    if is_red[ahead.lanes[i, k]] == RED:
+    if ahead.is_red[ahead.lanes[i, k]] == RED:
         return True
-    return bool(k + 1 < ahead.counts[i] and is_red[ahead.lanes[i, k + 1]] == RED_BEFORE)
+    return bool(k + 1 < ahead.counts[i] and ahead.is_red[ahead.lanes[i, k + 1]] == RED_BEFORE)
 
 
 @compiled
@@ -235,20 +248,14 @@ def has_room(scenes: Scenes, b: int, i: int, k: int, inside: Ints, ahead: Ahead)
 
 @compiled
 def waits(
-    scenes: Scenes,
-    b: int,
-    at: tuple[int, int],
-    c: int,
-    meetings: Meetings,
-    inside: Ints,
-    ahead: Ahead,
+    scenes: Scenes, b: int, at: tuple[int, int, int], meetings: Meetings, inside: Ints, ahead: Ahead
 ) -> bool:
-    """Whether a vehicle waits at place c for a vehicle on the other lane.
+    """Whether a vehicle waits at a place for a vehicle on the other lane.
 
-    `at` is the vehicle and the number of the place's lane on its way. Of vehicles that are not
+    `at` is the vehicle, the number of the lane on its way, and the place. Of vehicles that are not
     there yet and are not held, the nearest one counts, because those behind it wait with it.
     """
-    i, k = at
+    i, k, c = at
     own, first, their_k, comes = scenes.vehicles[b, i], -1, 0, np.inf
     claim = ahead.first[meetings.other[c]]
     while claim >= 0:

@@ -7,18 +7,20 @@ from numpy.typing import NDArray
 
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
-from charms_bench.foundation.compiled import clip, compiled_of_scenes
+from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
 from charms_bench.roads.exit import append
 from charms_bench.roads.layout import Edge, straight_lanes
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes
 from charms_bench.roads.task import (
+    Reward,
     Task,
     draw_behaviour,
+    end_off_road,
     is_on_own_lane,
-    share,
+    reward_of,
+    speed_term,
     wanted_lane,
-    weighted,
 )
 
 EGO_SPEED_MPS = 25.0
@@ -39,9 +41,6 @@ class Rule(NamedTuple):
     spacing: float
     crowding: float
     """highway-env's factor for all distances; it falls with the number of lanes."""
-    speed_low: float
-    speed_high: float
-    normalises: bool
     others_collide: bool
     """Whether collisions between vehicles other than the ego are noticed."""
 
@@ -67,9 +66,6 @@ class Highway(Task):
             float(config["ego_spacing"]),
             1 / config["vehicles_density"],
             maths.exp(-5 / 40 * lanes),
-            float(config["reward_speed_range"][0]),
-            float(config["reward_speed_range"][1]),
-            bool(config["normalize_reward"]),
             self.others_collide,
         )
 
@@ -81,12 +77,12 @@ class Highway(Task):
         _start(scenes, rows, self._rule)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
-        _judge(scenes, rows, self.weights, self._rule, rewards)
+        _judge(scenes, rows, self.reward, self._rule.lanes, rewards)
 
     def is_terminated(self, scenes: Scenes) -> Bools:
         is_over = super().is_terminated(scenes)
         if self._ends_off_road:
-            _end_off_road(scenes, is_over)
+            end_off_road(scenes, is_over)
         return is_over
 
 
@@ -119,23 +115,13 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule) -> None:
 
 
 @compiled_of_scenes
-def _judge(scenes: Scenes, rows: Ints, weights: Floats, rule: Rule, out: Floats) -> None:
+def _judge(scenes: Scenes, rows: Ints, reward: Reward, lanes: int, out: Floats) -> None:
     """[`HighwayEnv._reward`, `HighwayEnv._rewards`]"""
+    low, high = reward.weights[0], reward.weights[2] + reward.weights[1]
     for b in rows:
         ego = scenes.vehicles[b, 0]
-        forward = ego.speed * ego.direction_x
         out[b, 1] = ego.crashed
-        out[b, 2] = wanted_lane(ego) / max(rule.lanes - 1, 1)
-        out[b, 3] = clip(share(forward, rule.speed_low, rule.speed_high), 0.0, 1.0)
+        out[b, 2] = wanted_lane(ego) / max(lanes - 1, 1)
+        out[b, 3] = speed_term(reward, ego.speed * ego.direction_x)
         out[b, 4] = is_on_own_lane(scenes, b)
-        total = weighted(weights, out[b])
-        if rule.normalises:
-            total = share(total, weights[0], weights[2] + weights[1])
-        out[b, 0] = total * out[b, 4]
-
-
-@compiled_of_scenes
-def _end_off_road(scenes: Scenes, is_over: Bools) -> None:
-    """Ends the scenes (B,) whose ego has left the road."""
-    for b in range(is_over.size):
-        is_over[b] |= not is_on_own_lane(scenes, b)
+        out[b, 0] = reward_of(reward, out[b], low, high) * out[b, 4]

@@ -16,7 +16,7 @@ from charms_bench.engine.type_draws import draw_vehicles
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.roads.locating import as_followed, coordinates_of, forget
+from charms_bench.roads.locating import as_followed, coordinates_of, distance_to, forget
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     IDM,
@@ -54,13 +54,7 @@ class Arrivals(NamedTuple):
 
 
 class RoadInflow:
-    """The arrivals in B scenes.
-
-    Args:
-        settings: Those of the scenes.
-        scenes: The scenes.
-        starts: The lanes that begin where no other one ends.
-    """
+    """The arrivals in B scenes at the lanes `starts`, which begin where no other one ends."""
 
     def __init__(self, settings: SceneSettings, scenes: Scenes, starts: Ints) -> None:
         assert settings.inflow is not None
@@ -103,11 +97,8 @@ class RoadInflow:
     def flow(self, scenes: Scenes, rows: Ints, times_s: Floats) -> Ints:
         """Has vehicles leave and enter the scenes `rows` (R,) at the times `times_s` (R,).
 
-        Returns:
-            (R, N) the numbers of those that have entered, -1 for all others.
-
-        Raises:
-            InputError: A scene is full.
+        Returns the numbers (R, N) of those that have entered, -1 for all others; raises an
+        `InputError` if a scene is full.
         """
         numbers = np.full((rows.size, scenes.vehicles.shape[1]), -1)
         full = _flow(scenes, rows, times_s, self._arrivals, self.entered, numbers)
@@ -204,7 +195,7 @@ def room_ahead(scenes: Scenes, here: Here, b: int, i: int) -> tuple[float, float
     for j in range(here.places):
         other = scenes.vehicles[b, j]
         if other.kind > OBSTACLE and other.target_lane == lane and other.lane != lane:
-            away = coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s
-            if as_followed(here, i, j, away) < room:
-                room, speed = as_followed(here, i, j, away), other.speed
+            away = distance_to(here, i, j)
+            if away < room:
+                room, speed = away, other.speed
     return (-math.inf if rear >= 0 else room), speed

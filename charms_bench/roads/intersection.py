@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from charms_bench.errors import InputError
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
-from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, normal, random, two_integers
 from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.layout import WIDTH_M, Edge
@@ -18,16 +18,21 @@ from charms_bench.roads.locating import forget
 from charms_bench.roads.right_of_way import FREQUENCY_HZ
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, put_on_lane, tidy
 from charms_bench.roads.stepping import advance
-from charms_bench.roads.task import Task, draw_behaviour, plan_route, share, weighted
-from charms_bench.world.lane_geometry import Pair
-from charms_bench.world.road import heading_at, is_on_lane, local_coordinates, position
-from charms_bench.world.road_network import (
-    NO_LINE,
-    SOLID,
-    STRIPED,
-    CircularLane,
-    StraightLane,
+from charms_bench.roads.task import (
+    Reward,
+    Task,
+    draw_behaviour,
+    end_off_road,
+    has_space,
+    is_on_own_lane,
+    plan_route,
+    share,
+    speed_term,
+    weighted,
 )
+from charms_bench.world.lane_geometry import Pair
+from charms_bench.world.road import local_coordinates, position
+from charms_bench.world.road_network import NO_LINE, SOLID, STRIPED, CircularLane, StraightLane
 
 _SIDES = 4
 RIGHT_RADIUS_M, ACCESS_M, SPEED_LIMIT_MPS = WIDTH_M + 5, 100.0, 10.0
@@ -58,11 +63,6 @@ class Rule(NamedTuple):
     chance: float
     """That of a vehicle to enter after a decision."""
     warm_up_steps: int
-    speed_low: float
-    speed_high: float
-    collision: float
-    arrived: float
-    normalises: bool
 
 
 class Intersection(Task):
@@ -99,11 +99,6 @@ class Intersection(Task):
             _SIDES if given else -1,
             float(config["spawn_probability"]),
             SIMULATED_S * int(hz),
-            float(config["reward_speed_range"][0]),
-            float(config["reward_speed_range"][1]),
-            float(config["collision_reward"]),
-            float(config["arrived_reward"]),
-            bool(config["normalize_reward"]),
         )
         self._rewards = np.zeros((0, self.egos))
         self._have_arrived = np.zeros((0, self.egos), dtype=np.bool_)
@@ -159,7 +154,7 @@ class Intersection(Task):
         self._rewards = np.zeros((len(scenes.vehicles), self.egos))
         self._have_arrived = np.zeros(self._rewards.shape, dtype=np.bool_)
         own = self._rewards, self._have_arrived
-        _judge(scenes, rows, self.weights, self._rule, self._exits, *own, rewards)
+        _judge(scenes, rows, self.reward, self._exits, *own, rewards)
 
     def follow(self, scenes: Scenes, rows: Ints) -> None:
         _follow(scenes, rows, self._rule, self._entries, self._exits, self._routes)
@@ -176,28 +171,12 @@ class Intersection(Task):
         egos = scenes.vehicles[:, : self.egos]
         over = np.asarray(egos["crashed"].any(axis=1) | self._have_arrived.all(axis=1))
         if self._ends_off_road:
-            for b, ego in enumerate(egos[:, 0]):
-                where = int(ego["lane"]), float(ego["x"]), float(ego["y"])
-                over[b] |= not is_on_lane(scenes.road, *where, 0.0)
+            end_off_road(scenes, over)
         return over
 
     def information(self, scenes: Scenes) -> dict[str, Any]:
         crashed = scenes.vehicles["crashed"][:, : self.egos]
-        return {
-            "agents_rewards": self._rewards,
-            "agents_terminated": crashed | self._have_arrived,
-        }
-
-
-@compiled
-def is_free(scenes: Scenes, b: int, x: float, y: float, space: float) -> bool:
-    """Whether no vehicle is closer to a point than a distance."""
-    for i in range(scenes.vehicles.shape[1]):
-        vehicle = scenes.vehicles[b, i]
-        dx, dy = vehicle.x - x, vehicle.y - y
-        if vehicle.kind != NOTHING and math.sqrt(dx * dx + dy * dy) < space:
-            return False
-    return True
+        return {"agents_rewards": self._rewards, "agents_terminated": crashed | self._have_arrived}
 
 
 @compiled
@@ -224,7 +203,7 @@ def enter(
     lane, s = entries[side], along + 5.0 + normal(state, 0.0, 1.0) * deviation[0]
     speed = SPEED_MPS + normal(state, 0.0, 1.0) * deviation[1]
     x, y = position(scenes.road, lane, s, 0.0)
-    if not is_free(scenes, b, x, y, SPACE_M):
+    if not has_space(scenes, b, scenes.vehicles.shape[1], x, y, SPACE_M):
         return
     k = 0
     while scenes.vehicles[b, scenes.order[b, k].place].kind != NOTHING:
@@ -232,7 +211,7 @@ def enter(
         if k == scenes.vehicles.shape[1]:
             raise ValueError("more vehicles are on the intersection than there is room for")
     i = scenes.order[b, k].place
-    put_on_lane(scenes, b, i, IDM, lane, s, heading_at(scenes.road, lane, s), speed)
+    put_on_lane(scenes, b, i, IDM, lane, s, speed)
     plan_route(scenes, b, i, routes, destination)
     draw_behaviour(scenes, b, i)
 
@@ -260,8 +239,7 @@ def _start(
             if destination < 0:
                 destination = integers(scenes.generator[b], 1, _SIDES)
             s = EGO_ALONG_M + 5.0 * normal(scenes.generator[b], 1.0, 1.0)
-            heading = heading_at(road, lane, EGO_ALONG_M)
-            put_on_lane(scenes, b, ego, COMMANDED, lane, s, heading, road.lanes[lane].speed_limit)
+            put_on_lane(scenes, b, ego, COMMANDED, lane, s, road.lanes[lane].speed_limit)
             plan_route(scenes, b, ego, routes, destination)
             own = scenes.vehicles[b, ego]
             for i in range(rule.egos, places):
@@ -313,8 +291,7 @@ def _have_arrived(scenes: Scenes, exits: Bools) -> Bools:
 def _judge(
     scenes: Scenes,
     rows: Ints,
-    weights: Floats,
-    rule: Rule,
+    reward: Reward,
     exits: Bools,
     rewards: Floats,
     have_arrived: Bools,
@@ -324,23 +301,24 @@ def _judge(
 
     Also fills in the rewards (B, A) of each ego, and whether it has arrived.
     """
-    row = np.zeros(1 + weights.size)
+    row, egos = np.zeros(1 + reward.weights.size), rewards.shape[1]
+    collision, arrival = reward.weights[0], reward.weights[2]
     for b in rows:
         out[b] = 0.0
-        for ego in range(rule.egos):
+        for ego in range(egos):
             vehicle = scenes.vehicles[b, ego]
             arrived = has_arrived(scenes, b, ego, exits)
             row[1] = vehicle.crashed
-            row[2] = clip(share(vehicle.speed, rule.speed_low, rule.speed_high), 0.0, 1.0)
+            row[2] = speed_term(reward, vehicle.speed)
             row[3] = arrived
-            row[4] = is_on_lane(scenes.road, vehicle.lane, vehicle.x, vehicle.y, 0.0)
-            reward = rule.arrived if arrived else weighted(weights, row)
-            reward *= row[4]
-            if rule.normalises:
-                reward = share(reward, rule.collision, rule.arrived)
-            row[0] = rewards[b, ego] = reward
+            row[4] = is_on_own_lane(scenes, b, ego)
+            total = arrival if arrived else weighted(reward.weights, row)
+            total *= row[4]
+            if reward.normalises:
+                total = share(total, collision, arrival)
+            row[0] = rewards[b, ego] = total
             have_arrived[b, ego] = arrived
             for k in range(row.size):
                 out[b, k] += row[k]
         for k in range(row.size):
-            out[b, k] /= rule.egos
+            out[b, k] /= egos

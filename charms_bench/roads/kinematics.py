@@ -8,14 +8,10 @@ from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, wrap_to_pi
 from charms_bench.foundation.generator import shuffle
 from charms_bench.roads.scenes import NOTHING, OBSTACLE, Scenes
+from charms_bench.world.kinematics_observation import FEATURES
 from charms_bench.world.road import distance_along, heading_at, local_coordinates, position
 from charms_bench.world.scene import Observations
 
-FEATURES = (
-    *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"),
-    *("cos_d", "sin_d", "long_off", "lat_off", "ang_off"),
-)
-"""highway-env's features; a feature is an index into this tuple."""
 PRESENCE, X, Y, VX, VY, HEADING, COS_H, SIN_H, COS_D, SIN_D, LONG_OFF, LAT_OFF, ANG_OFF = range(
     len(FEATURES)
 )
@@ -35,17 +31,11 @@ def observe(
 ) -> None:
     """Writes the observations (B, rows, F) of an ego in the scenes `rows` [`KinematicObservation`].
 
-    Args:
-        scenes: The scenes.
-        rows: (R,) those that are observed.
-        ego_place: The place of the ego.
-        features: (F,) indices into `FEATURES`.
-        ranges: (B, F, 2) what is mapped onto [-1, 1]; not a number where nothing is.
-        how: Whether positions are absolute, vehicles are sorted, values clipped, vehicles behind
-            seen, obstacles included, other vehicles' destinations seen, and the rows after the
-            ego's shuffled by the scene's generator; then the lane along which the ego's x is
-            measured, -1 for the x of the road [`ExitObservation`].
-        out: The observations.
+    `features` (F,) are indices into `FEATURES`, and `ranges` (B, F, 2) what is mapped onto [-1, 1];
+    not a number where nothing is. `how` says whether positions are absolute, vehicles are sorted,
+    values clipped, vehicles behind seen, obstacles included, other vehicles' destinations seen, and
+    the rows after the ego's shuffled by the scene's generator; then the lane along which the ego's
+    x is measured, -1 for the x of the road [`ExitObservation`].
     """
     is_absolute, is_sorted, clips, sees_behind = how[:4]
     has_obstacles, sees_intentions, shuffles, exit_lane = how[4:]
@@ -106,10 +96,8 @@ def describe(scenes: Scenes, b: int, j: int, origin: int, values: Floats) -> Non
     # highway-env does not say an obstacle's heading [`RoadObject.to_dict`].
     values[HEADING] = math.nan if vehicle.kind <= OBSTACLE else vehicle.heading
     values[X], values[Y] = vehicle.x, vehicle.y
-    values[VX], values[VY] = (
-        vehicle.speed * vehicle.direction_x,
-        vehicle.speed * vehicle.direction_y,
-    )
+    values[VX] = vehicle.speed * vehicle.direction_x
+    values[VY] = vehicle.speed * vehicle.direction_y
     values[COS_H], values[SIN_H] = vehicle.direction_x, vehicle.direction_y
     if origin >= 0:
         ego = scenes.vehicles[b, origin]

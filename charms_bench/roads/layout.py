@@ -38,11 +38,7 @@ class RoadObject(NamedTuple):
 
 
 class Layout:
-    """The lanes of a road and their names [`RoadNetwork`].
-
-    Args:
-        edges: The lanes, in the order of highway-env's calls of `RoadNetwork.add_lane`.
-    """
+    """The lanes of a road, in the order of highway-env's calls of `add_lane` [`RoadNetwork`]."""
 
     def __init__(self, edges: Iterable[Edge]) -> None:
         described = list(edges)

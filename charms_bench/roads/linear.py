@@ -12,7 +12,7 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.compiled import clip, compiled, not_zero, wrap_to_pi
-from charms_bench.roads.locating import as_followed, coordinates_of, heading_on
+from charms_bench.roads.locating import coordinates_of, distance_to, heading_on
 from charms_bench.roads.scenes import CONTINUOUS, Here, lane_of, vehicle_of
 from charms_bench.world.idm_mobil import equilibrium_gap
 
@@ -69,11 +69,8 @@ def linear_acceleration(here: Here, i: int, j: int, driver: int) -> float:
     missing = 0.0 if own.kind <= CONTINUOUS else own.target_speed - own.speed
     closing = short = 0.0
     if j >= 0:
-        ahead, lane = vehicle_of(here, j), own.lane
-        distance = coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s
-        distance = as_followed(here, i, j, distance)
-        closing = min(ahead.speed - own.speed, 0.0)
-        short = min(distance - equilibrium_gap(max(own.speed, 0.0), c), 0.0)
+        closing = min(vehicle_of(here, j).speed - own.speed, 0.0)
+        short = min(distance_to(here, i, j) - equilibrium_gap(max(own.speed, 0.0), c), 0.0)
     return float(gains[0] * missing + gains[1] * closing + gains[2] * short)
 
 

@@ -59,6 +59,14 @@ def as_followed(here: Here, i: int, j: int, distance: float) -> float:
     return float(following_distance(distance, overhang(own, c.length), overhang(other, c.length)))
 
 
+@inlined
+def distance_to(here: Here, i: int, j: int) -> float:
+    """How far vehicle j is ahead on the lane of vehicle i [`RoadObject.lane_distance_to`]."""
+    lane = vehicle_of(here, i).lane
+    distance = coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s
+    return as_followed(here, i, j, distance)
+
+
 @compiled
 def compute(at: Row, lane: Row, vehicle: Row, curves: Row) -> None:
     """[`AbstractLane.local_coordinates`]"""

@@ -11,13 +11,7 @@ import numpy as np
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools
 from charms_bench.foundation.compiled import compiled_of_scenes
-from charms_bench.roads.coming_and_going import (
-    CLEARED,
-    ENTERED,
-    FREED,
-    LEFT,
-    STATIONARY_MPS,
-)
+from charms_bench.roads.coming_and_going import CLEARED, ENTERED, FREED, LEFT, STATIONARY_MPS
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.fault import REAR_END_COS, SIDE_COS
 from charms_bench.roads.file_road import FileRoad

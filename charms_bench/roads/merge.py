@@ -21,15 +21,9 @@ from charms_bench.roads.scenes import (
     Scenes,
     put_on_lane,
 )
-from charms_bench.roads.task import Task, share, weighted
+from charms_bench.roads.task import Reward, Task, share, weighted
 from charms_bench.world.actions import LANE_LEFT, LANE_RIGHT
-from charms_bench.world.road_network import (
-    NO_LINE,
-    SOLID_LINE,
-    STRIPED,
-    SineLane,
-    StraightLane,
-)
+from charms_bench.world.road_network import NO_LINE, SOLID_LINE, STRIPED, SineLane, StraightLane
 
 SECTIONS = ("before", "converge", "parallel", "after")
 LENGTHS_M = (150.0, 80.0, 80.0, 150.0)
@@ -52,8 +46,6 @@ class Rule(NamedTuple):
     """The lane from which a vehicle merges."""
     judged: int
     """The lane whose vehicles should not be slow, -1 for none."""
-    speed_low: float
-    speed_high: float
     spawned_until: float
     """Where `merge-generic` places the last vehicle."""
 
@@ -82,8 +74,6 @@ class Merge(Task):
             main_lanes,
             lanes["j", "k", 0],
             lanes.get(("b", "c", 2), -1),
-            float(config["reward_speed_range"][0]),
-            float(config["reward_speed_range"][1]),
             ramp_end,
         )
 
@@ -94,10 +84,7 @@ class Merge(Task):
     def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
         """[`MergeEnv._make_road`]"""
         b, c, d = (sum(LENGTHS_M[:k]) for k in (2, 3, 4))
-        for y, left, right in (
-            (0.0, SOLID_LINE, STRIPED),
-            (WIDTH_M, NO_LINE, SOLID_LINE),
-        ):
+        for y, left, right in ((0.0, SOLID_LINE, STRIPED), (WIDTH_M, NO_LINE, SOLID_LINE)):
             yield "a", "b", StraightLane(start=(0.0, y), end=(b, y), line_types=(left, right))
             yield "b", "c", StraightLane(start=(b, y), end=(c, y), line_types=(left, STRIPED))
             yield "c", "d", StraightLane(start=(c, y), end=(d, y), line_types=(left, right))
@@ -107,7 +94,7 @@ class Merge(Task):
         _start(scenes, rows, self._rule)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
-        _judge(scenes, rows, actions, self.weights, self._rule, rewards)
+        _judge(scenes, rows, actions, self.reward, self._rule.judged, rewards)
 
     def is_terminated(self, scenes: Scenes) -> Bools:
         return np.asarray(scenes.vehicles["crashed"][:, 0] | self._has_passed(scenes))
@@ -182,13 +169,13 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule) -> None:
     """[`MergeEnv._make_vehicles`]"""
     for b in rows:
         state = scenes.generator[b]
-        put_on_lane(scenes, b, 0, COMMANDED, rule.main + 1, 30.0, 0.0, 30.0)
+        put_on_lane(scenes, b, 0, COMMANDED, rule.main + 1, 30.0, 30.0)
         for i, (s, speed) in enumerate(((90.0, 29.0), (70.0, 31.0), (5.0, 31.5))):
             lane = rule.main + integers(state, 0, 2)
             s += uniform(state, -5.0, 5.0)
             speed += uniform(state, -1.0, 1.0)
-            put_on_lane(scenes, b, i + 1, IDM, lane, s, 0.0, speed)
-        put_on_lane(scenes, b, 4, IDM, rule.ramp, 110.0, 0.0, 20.0)
+            put_on_lane(scenes, b, i + 1, IDM, lane, s, speed)
+        put_on_lane(scenes, b, 4, IDM, rule.ramp, 110.0, 20.0)
         scenes.vehicles[b, 4].target_speed = 30.0
 
 
@@ -201,7 +188,7 @@ def _start_generic(scenes: Scenes, rows: Ints, vehicles: int, rule: Rule) -> Non
         for i in range(vehicles):
             scenes.vehicles[b, i].kind = NOTHING
         lanes[0], along[0], count = rule.main_lanes - 1, 30.0, 1
-        put_on_lane(scenes, b, 0, COMMANDED, rule.main + lanes[0], along[0], 0.0, 30.0)
+        put_on_lane(scenes, b, 0, COMMANDED, rule.main + lanes[0], along[0], 30.0)
         for _ in range(vehicles - 2):
             for _ in range(TRIES):
                 lane = integers(state, 0, rule.main_lanes)
@@ -211,29 +198,30 @@ def _start_generic(scenes: Scenes, rows: Ints, vehicles: int, rule: Rule) -> Non
                     is_free &= lanes[k] != lane or abs(s - along[k]) > SAFE_DISTANCE_M
                 if is_free:
                     speed = 30.0 + uniform(state, -2.0, 2.0)
-                    put_on_lane(scenes, b, count, IDM, rule.main + lane, s, 0.0, speed)
+                    put_on_lane(scenes, b, count, IDM, rule.main + lane, s, speed)
                     lanes[count], along[count] = lane, s
                     count += 1
                     break
-        put_on_lane(scenes, b, count, IDM, rule.ramp, 60.0, 0.0, 20.0)
+        put_on_lane(scenes, b, count, IDM, rule.ramp, 60.0, 20.0)
         scenes.vehicles[b, count].target_speed = 30.0
 
 
 @compiled_of_scenes
 def _judge(
-    scenes: Scenes, rows: Ints, actions: Ints, weights: Floats, rule: Rule, out: Floats
+    scenes: Scenes, rows: Ints, actions: Ints, reward: Reward, judged: int, out: Floats
 ) -> None:
     """[`MergeEnv._reward`, `MergeEnv._rewards`]"""
+    weights = reward.weights
     for b in rows:
         ego = scenes.vehicles[b, 0]
         merging = 0.0
         for i in range(scenes.vehicles.shape[1]):
             vehicle = scenes.vehicles[b, i]
-            if vehicle.lane == rule.judged and vehicle.kind > CONTINUOUS:
+            if vehicle.lane == judged and vehicle.kind > CONTINUOUS:
                 merging += (vehicle.target_speed - vehicle.speed) / vehicle.target_speed
         out[b, 1] = ego.crashed
         out[b, 2] = ego.lane - scenes.road.lanes[ego.lane].first
-        out[b, 3] = share(ego.speed, rule.speed_low, rule.speed_high)
+        out[b, 3] = share(ego.speed, reward.speed_low, reward.speed_high)
         out[b, 4] = actions[b] in (LANE_LEFT, LANE_RIGHT)
         out[b, 5] = merging
         total = weighted(weights, out[b])

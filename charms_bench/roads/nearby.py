@@ -31,11 +31,9 @@ _ROUNDING_M = 1e-6
 def map_of(road: Network) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], int]:
     """The map of the lanes that can be the nearest ones, and of those on which a vehicle can be.
 
-    Returns:
-        The map's corner (x, y), squares per metre, columns and rows (5,); where the two lists begin
-        (1 + S, 2) for a vehicle outside of the map and in each of S squares, row by row; the lists,
-        each with -1 at its end; and on how many lanes a vehicle can be. The first list is of all
-        lanes.
+    The map's corner (x, y), squares per metre, columns and rows (5,); where the two lists begin
+    (1 + S, 2) for a vehicle outside of the map and in each of S squares, row by row; the lists,
+    each with -1 at its end; and on how many lanes a vehicle can be. The first list is of all lanes.
     """
     lanes = road.lanes.size
     everywhere = [*range(lanes), -1]
@@ -139,10 +137,9 @@ def _bounds(
 ) -> tuple[Floats, Floats, Floats]:
     """Bounds of the distance of a lane within a reach of points.
 
-    Returns:
-        The least distance beside the lane, the least beyond its ends, and the largest of both
-        together, which is that of `AbstractLane.distance`. Of a polyline, a position is measured
-        from one of its poses, which can be as far away as the polyline is long.
+    The least beside the lane, the least beyond its ends, and the largest of both together, which is
+    that of `AbstractLane.distance`. Of a polyline, a position is measured from one of its poses,
+    which can be as far away as the polyline is long.
     """
     if row["kind"] == POLYLINE:
         bounds = np.empty((3, x.size))

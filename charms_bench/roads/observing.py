@@ -1,18 +1,20 @@
 """What the egos observe: highway-env's observations by a configuration."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
-from typing import Any, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import InputError, suggestion
-from charms_bench.foundation.arrays import Ints
-from charms_bench.roads import attributes, goal, kinematics, occupancy_grid, time_to_collision
+from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.roads import attributes, kinematics, occupancy_grid, time_to_collision
 from charms_bench.roads.configuration import options
 from charms_bench.roads.controls import kind_of_ego
-from charms_bench.roads.scenes import COMMANDED, Scenes
+from charms_bench.roads.scenes import COMMANDED, LANDMARK, Scenes
+from charms_bench.world.kinematics_observation import FEATURES
 from charms_bench.world.scene import Observations
 
 Observed = NDArray[Any] | dict[str, NDArray[Any]]
@@ -35,9 +37,10 @@ _KINEMATICS: dict[str, Any] = {
     "include_obstacles": True,
     "flatten": False,  # without effect, as in highway-env
 }
+GOAL_FEATURES = ("presence", "x", "y", "vx", "vy", "cos_h", "sin_h")
+"""The features of egos and goals that are supported."""
 _GOALS = ("observation", "achieved_goal", "desired_goal")
 _GRID: dict[str, Any] = {
-    "type": "OccupancyGrid",
     "features": ["presence", "vx", "vy", "on_road"],
     "grid_size": [[-27.5, 27.5], [-27.5, 27.5]],
     "grid_step": [5, 5],
@@ -49,52 +52,69 @@ _GRID: dict[str, Any] = {
 }
 
 
-class Observer(Protocol):
-    """An ego's observation of B scenes."""
+class Asked(NamedTuple):
+    """Which ego observes what, by a configuration."""
 
-    @property
-    def space(self) -> gymnasium.Space[Any]:
-        """Of one observation."""
+    config: Mapping[str, Any]
+    scenes: int
+    """B."""
+    lanes: Mapping[Any, int]
+    """The indices of the road's lanes by highway-env's names."""
+    ego: int = 0
+    """The ego's place."""
 
-    def start(self, scenes: Scenes, rows: Ints) -> None:
+    def options(self, known: Mapping[str, Any]) -> dict[str, Any]:
+        """Those of the observation, which may have these, of which the values are the defaults."""
+        given = self.config["observation"]
+        return options("observation", given, {"type": given["type"], **known})
+
+
+class Observer(ABC):
+    """An ego's observation of B scenes; raises an `InputError` if it is not supported."""
+
+    space: gymnasium.Space[Any]
+    """Of one observation."""
+
+    @abstractmethod
+    def __init__(self, asked: Asked) -> None: ...
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:  # noqa: B027  # most keep nothing
         """Notes what highway-env keeps from the start of an episode."""
 
+    @abstractmethod
     def observe(self, scenes: Scenes, rows: Ints) -> Observed:
         """The ego's observations of the scenes `rows` (R,)."""
 
 
-class Kinematics:
+class Kinematics(Observer):
     """[`KinematicObservation`, `ExitObservation`]"""
 
-    def __init__(
-        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
-    ) -> None:
-        self._ego = ego
-        observation = config["observation"]
-        kind, exit_lane = str(observation["type"]), -1
-        found = options("observation", observation, {"type": kind, **_KINEMATICS})
-        if kind == "ExitObservation":
-            exit_lane = lanes["1", "2", config["lanes_count"]]
-            found |= {"include_obstacles": False}
+    def __init__(self, asked: Asked) -> None:
+        self._ego, exit_lane = asked.ego, -1
+        found = asked.options(_KINEMATICS)
+        is_exit = found["type"] == "ExitObservation"
+        if is_exit:
+            exit_lane = asked.lanes["1", "2", asked.config["lanes_count"]]
+            found["include_obstacles"] = False
         features = list(found["features"] or _KINEMATICS["features"])
-        _check_features(features, kinematics.FEATURES)
+        _check_features(features, FEATURES)
         if not found["vehicles_count"] >= 2:
             raise InputError("config.observation.vehicles_count: expected at least 2")
         shape = int(found["vehicles_count"]), len(features)
         self.space = gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
-        self._features = np.array([kinematics.FEATURES.index(name) for name in features])
+        self._features = np.array([FEATURES.index(name) for name in features])
         ranges = found["features_range"] or _RANGES
         ranges = ranges if found["normalize"] else {}
         bounds = [ranges.get(name, (np.nan, np.nan)) for name in features]
-        self.ranges = np.tile(np.array(bounds, dtype=np.float64), (count, 1, 1))
+        self.ranges = np.tile(np.array(bounds, dtype=np.float64), (asked.scenes, 1, 1))
         """(B, F, 2) the values that become -1 and 1; not a number for what is not scaled."""
         has_width = not found["features_range"] and found["normalize"]
         self._of_width = [k for k, name in enumerate(features) if name == "y" and has_width]
-        order, is_exit = found["order"], kind == "ExitObservation"
+        order = found["order"]
         flags = found["absolute"], is_exit or order == "sorted", found["clip"], found["see_behind"]
         sees = found["include_obstacles"], found["observe_intentions"]
         self._how = np.array([*flags, *sees, order == "shuffled", exit_lane], dtype=np.int64)
-        self._out = np.zeros((count, *shape), dtype=np.float32)
+        self._out = np.zeros((asked.scenes, *shape), dtype=np.float32)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         for k in self._of_width:
@@ -108,42 +128,32 @@ class Kinematics:
         return self._out[rows]
 
 
-class TimeToCollision:
+class TimeToCollision(Observer):
     """[`TimeToCollisionObservation`]"""
 
-    def __init__(
-        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
-    ) -> None:
-        self._ego = ego
-        known = {"type": "TimeToCollision", "horizon": 10}
-        found = options("observation", config["observation"], known)
-        self._interval = 1 / config["policy_frequency"]
+    def __init__(self, asked: Asked) -> None:
+        self._ego, found = asked.ego, asked.options({"horizon": 10})
+        self._interval = 1 / asked.config["policy_frequency"]
         sides = time_to_collision.SIDES
         shape = sides, sides, int(found["horizon"] / self._interval)
         self.space = gymnasium.spaces.Box(0.0, 1.0, shape, np.float32)
-        self._out = np.zeros((count, *shape), dtype=np.float32)
-
-    def start(self, scenes: Scenes, rows: Ints) -> None:
-        pass
+        self._out = np.zeros((asked.scenes, *shape), dtype=np.float32)
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observations:
         time_to_collision.observe(scenes, rows, self._ego, self._interval, self._out)
         return self._out[rows]
 
 
-class OccupancyGrid:
+class OccupancyGrid(Observer):
     """[`OccupancyGridObservation`]"""
 
-    def __init__(
-        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
-    ) -> None:
-        self._ego = ego
-        found = options("observation", config["observation"], _GRID)
+    def __init__(self, asked: Asked) -> None:
+        self._ego, found = asked.ego, asked.options(_GRID)
         if found["absolute"]:
             raise InputError("config.observation.absolute: True is not supported")
         names = list(found["features"])
-        _check_features(names, (*kinematics.FEATURES, "on_road"))
-        known = {name: k for k, name in enumerate(kinematics.FEATURES)}
+        _check_features(names, (*FEATURES, "on_road"))
+        known = {name: k for k, name in enumerate(FEATURES)}
         indices = [known.get(name, occupancy_grid.ON_ROAD) for name in names]
         self._features = np.array(indices, dtype=np.int64)
         self._ranges = np.full((len(known), 2), np.nan)
@@ -163,10 +173,7 @@ class OccupancyGrid:
                 *(bool(found[flag]) for flag in ("align_to_vehicle_axes", "clip", "as_image")),
             )
         )
-        self._out = np.zeros((count, *shape), dtype=np.float32)
-
-    def start(self, scenes: Scenes, rows: Ints) -> None:
-        pass
+        self._out = np.zeros((asked.scenes, *shape), dtype=np.float32)
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observations:
         how = self._features, self._ranges, self._grid
@@ -174,47 +181,65 @@ class OccupancyGrid:
         return self._out[rows].astype(self._dtype)
 
 
-class KinematicsGoal:
+def achieved_and_desired(
+    scenes: Scenes, rows: Ints, features: Sequence[str], scales: Floats
+) -> tuple[Floats, Floats]:
+    """The features (R, F) of the egos and of their goals, divided by scales (F,).
+
+    [`KinematicsGoalObservation.observe`]
+    """
+    goal = np.argmax(scenes.vehicles["kind"][0] == LANDMARK)
+    achieved, desired = (np.empty((rows.size, len(features))) for _ in range(2))
+    for place, out in ((0, achieved), (goal, desired)):
+        table = scenes.vehicles[rows, place]
+        values = {
+            "presence": np.ones(rows.size),
+            "x": table["x"],
+            "y": table["y"],
+            "vx": table["speed"] * table["direction_x"],
+            "vy": table["speed"] * table["direction_y"],
+            "cos_h": table["direction_x"],
+            "sin_h": table["direction_y"],
+        }
+        for k, name in enumerate(features):
+            out[:, k] = values[name] / scales[k]
+    return achieved, desired
+
+
+class KinematicsGoal(Observer):
     """[`KinematicsGoalObservation`]"""
 
-    def __init__(
-        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
-    ) -> None:
-        known = {"type": "KinematicsGoal", "scales": None, **_KINEMATICS}
-        found = options("observation", config["observation"], known)
+    def __init__(self, asked: Asked) -> None:
+        found = asked.options({"scales": None, **_KINEMATICS})
         self._features = list(found["features"] or _KINEMATICS["features"])
-        _check_features(self._features, goal.FEATURES)
+        _check_features(self._features, GOAL_FEATURES)
         self._scales = np.array(found["scales"], dtype=np.float64)
         if self._scales.shape != (len(self._features),):
             raise InputError("config.observation.scales: expected one number for each feature")
         box = gymnasium.spaces.Box(-np.inf, np.inf, self._scales.shape, np.float64)
         self.space = gymnasium.spaces.Dict(dict.fromkeys(_GOALS, box))
 
-    def start(self, scenes: Scenes, rows: Ints) -> None:
-        pass
-
     def observe(self, scenes: Scenes, rows: Ints) -> Observed:
-        found = goal.achieved_and_desired(scenes, rows, self._features, self._scales)
+        found = achieved_and_desired(scenes, rows, self._features, self._scales)
         return dict(zip(_GOALS, (found[0].copy(), *found), strict=True))
 
 
-class Attributes:
+class Attributes(Observer):
     """[`AttributesObservation`]"""
 
-    def __init__(
-        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
-    ) -> None:
-        known = {"type": "AttributesObservation", "attributes": ()}
-        self._names = list(options("observation", config["observation"], known)["attributes"])
+    def __init__(self, asked: Asked) -> None:
+        self._names = list(asked.options({"attributes": ()})["attributes"])
         _check_features(self._names, attributes.ATTRIBUTES, "attributes")
         indices = [attributes.ATTRIBUTES.index(name) for name in self._names]
         self._attributes = np.array(indices, dtype=np.int64)
-        self._noises = np.array([config["state_noise"], config["derivative_noise"]], np.float64)
+        self._noises = np.array(
+            [asked.config[f"{name}_noise"] for name in ("state", "derivative")], np.float64
+        )
         noisy = (self._attributes != attributes.REFERENCE_STATE).sum()
         self._skipped = 2 * attributes.NUMBERS * int(noisy)
         box = gymnasium.spaces.Box(-np.inf, np.inf, (attributes.NUMBERS, 1), np.float64)
         self.space = gymnasium.spaces.Dict(dict.fromkeys(self._names, box))
-        self._out = np.zeros((count, len(self._names), attributes.NUMBERS))
+        self._out = np.zeros((asked.scenes, len(self._names), attributes.NUMBERS))
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         attributes.skip(scenes, rows, self._skipped)
@@ -232,7 +257,7 @@ def _check_features(names: Iterable[str], known: Collection[str], key: str = "fe
             raise InputError(f"config.observation.{key}: {what}")
 
 
-_OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int], int], Observer]] = {
+_OBSERVERS: dict[str, type[Observer]] = {
     "Kinematics": Kinematics,
     "ExitObservation": Kinematics,
     "TimeToCollision": TimeToCollision,
@@ -245,13 +270,7 @@ _OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int], int],
 def observer_of(
     config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int = 0
 ) -> Observer:
-    """What the ego at a place observes by a configuration, for B = `count` scenes.
-
-    `lanes` are the indices of the road's lanes by highway-env's names.
-
-    Raises:
-        InputError: The configuration is not supported.
-    """
+    """What the ego at a place observes by a configuration, for B = `count` scenes; see `Asked`."""
     name = config["observation"].get("type")
     known = dict(_OBSERVERS)
     if ("2", "exit", 0) not in lanes:
@@ -265,4 +284,4 @@ def observer_of(
     if name not in known:
         what = suggestion(str(name), known)
         raise InputError(f"config.observation.type: '{name}' is not supported. {what}")
-    return _OBSERVERS[name](config, count, lanes, ego)
+    return _OBSERVERS[name](Asked(config, count, lanes, ego))

@@ -7,8 +7,9 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.roads.kinematics import COS_D, FEATURES, X, Y, describe, describe_way
+from charms_bench.roads.kinematics import COS_D, X, Y, describe, describe_way
 from charms_bench.roads.scenes import OBSTACLE, Row, Scenes
+from charms_bench.world.kinematics_observation import FEATURES
 from charms_bench.world.lane_geometry import CIRCULAR, STRAIGHT, line_coordinates, line_position
 from charms_bench.world.scene import Observations
 
@@ -47,15 +48,8 @@ def observe(
 ) -> None:
     """Writes an ego's observations (B, F, X, Y) of the scenes `rows` [`OccupancyGridObservation`].
 
-    Args:
-        scenes: The scenes.
-        rows: (R,) those that are observed.
-        ego_place: The place of the ego.
-        features: (F,) `ON_ROAD`, or indices into `kinematics.FEATURES`.
-        ranges: (`kinematics.FEATURES`, 2) what is mapped onto [-1, 1]; not a number where nothing
-            is.
-        grid: The grid.
-        out: The observations; those of an image are integers from 0 to 255.
+    `features` (F,) are `ON_ROAD` or indices into `kinematics.FEATURES`, of which `ranges` (., 2)
+    are mapped onto [-1, 1]; not a number where nothing is. Images are integers from 0 to 255.
     """
     values, has_more = np.empty(len(FEATURES)), features.max() >= COS_D
     for b in rows:
@@ -100,10 +94,7 @@ def cell_of(grid: Grid, x: float, y: float, cosine: float, sine: float) -> tuple
     """The cell of a point relative to the ego, whose direction is given [`pos_to_index`]."""
     if grid.is_aligned:
         x, y = cosine * x + sine * y, -sine * x + cosine * y
-    return (
-        math.floor((x - grid.low_x) / grid.step_x),
-        math.floor((y - grid.low_y) / grid.step_y),
-    )
+    return (math.floor((x - grid.low_x) / grid.step_x), math.floor((y - grid.low_y) / grid.step_y))
 
 
 @compiled

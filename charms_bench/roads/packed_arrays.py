@@ -42,15 +42,10 @@ def width_of(arrays: Iterable[Array]) -> int:
 def check_values(
     parts: Mapping[str, Array], bounds: Mapping[str, tuple[float, float]], may_be_nan: str
 ) -> None:
-    """Rejects what compiled code must not meet.
+    """Rejects what compiled code must not meet in arrays; the fields of records are `name.field`.
 
-    Args:
-        parts: The arrays by their names; the fields of records are `name.field`.
-        bounds: The lowest and the highest number of those that have narrower ones than the others.
-        may_be_nan: What the names begin with whose numbers can be missing.
-
-    Raises:
-        InputError: A number is out of its bounds.
+    `bounds` are those of arrays that have narrower ones than the others, and numbers can be missing
+    where names begin with `may_be_nan`. An `InputError` says what is out of its bounds.
     """
     fields = {
         f"{name}.{field}" if field else name: part[field] if field else part

@@ -12,8 +12,8 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
-from charms_bench.roads.goal import achieved_and_desired
 from charms_bench.roads.layout import WIDTH_M, Edge, RoadObject
+from charms_bench.roads.observing import achieved_and_desired
 from charms_bench.roads.scenes import COMMANDED, CONTINUOUS, LANDMARK, Scenes, place, put_on_lane
 from charms_bench.roads.task import Task
 from charms_bench.world.road import heading_at, position
@@ -114,6 +114,5 @@ def _start(scenes: Scenes, rows: Ints, vehicles: int) -> None:
         spots = spots[spots != lane]
         for i in range(1, vehicles):
             lane = spots[integers(state, 0, spots.size)]
-            heading = heading_at(road, lane, PARKED_AT_M)
-            put_on_lane(scenes, b, i, CONTINUOUS, lane, PARKED_AT_M, heading, 0.0)
+            put_on_lane(scenes, b, i, CONTINUOUS, lane, PARKED_AT_M, 0.0)
             spots = spots[spots != lane]

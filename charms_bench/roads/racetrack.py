@@ -14,16 +14,10 @@ from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
 from charms_bench.roads.layout import Edge, RoadObject
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_lane
-from charms_bench.roads.task import Task, is_on_own_lane, share
+from charms_bench.roads.task import Task, has_space, is_on_own_lane, share
 from charms_bench.world.lane_geometry import STRAIGHT, Pair
-from charms_bench.world.road import heading_at, local_coordinates, position
-from charms_bench.world.road_network import (
-    NO_LINE,
-    SOLID,
-    STRIPED,
-    CircularLane,
-    StraightLane,
-)
+from charms_bench.world.road import local_coordinates, position
+from charms_bench.world.road_network import NO_LINE, SOLID, STRIPED, CircularLane, StraightLane
 
 WIDTH_M, SPEED_LIMIT_MPS = 5.0, 10.0
 """Of the lanes; `racetrack-large` takes its limit from the configuration."""
@@ -105,7 +99,7 @@ class Racetrack(Task):
         costs = (self._action_weight * norms).astype(np.float64)
         is_single = norms.dtype == np.float32
         rewards[:, 2] = norms
-        _judge(scenes, rows, costs, is_single, self.weights, self._rule, rewards)
+        _judge(scenes, rows, costs, is_single, self.reward.weights, self._rule, rewards)
         self._on_road = rewards[:, 4] > 0
 
     def is_terminated(self, scenes: Scenes) -> Bools:
@@ -188,10 +182,7 @@ class OvalRacetrack(Racetrack):
 
 
 def straight(
-    nodes: str,
-    lines: Sequence[Kinds],
-    *ends: Line,
-    limit: float = SPEED_LIMIT_MPS,
+    nodes: str, lines: Sequence[Kinds], *ends: Line, limit: float = SPEED_LIMIT_MPS
 ) -> Iterator[Edge]:
     """Straight lanes between two nodes, each from a point to another."""
     for (start, end), kinds in zip(ends, lines, strict=True):
@@ -240,25 +231,20 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, nodes: Ints, roads: Ints) -> 
         state = scenes.generator[b]
         number = integers(state, 0, rule.own_lanes)
         lane, s = rule.own + number, uniform(state, 20.0, 50.0)
-        heading, speed = heading_at(road, lane, s), road.lanes[lane].speed_limit
-        put_on_lane(scenes, b, 0, COMMANDED, lane, s, heading, speed)
+        put_on_lane(scenes, b, 0, COMMANDED, lane, s, road.lanes[lane].speed_limit)
         count = 1
         if rule.others > 0:
             lane, s = rule.ahead + number, uniform(state, 0.0, road.lanes[rule.ahead].length)
             speed = 6.0 + uniform(state, 0.0, 3.0)
-            put_on_lane(scenes, b, 1, IDM, lane, s, heading_at(road, lane, s), speed)
+            put_on_lane(scenes, b, 1, IDM, lane, s, speed)
             count = 2
             for _ in range(integers(state, 0, rule.others)):
                 lane = draw_lane(scenes, b, nodes, roads)
                 s = uniform(state, 0.0, road.lanes[lane].length)
                 speed = 6.0 + uniform(state, 0.0, 3.0)
                 x, y = position(road, lane, s, 0.0)
-                is_free = True
-                for k in range(count):
-                    dx, dy = x - scenes.vehicles[b, k].x, y - scenes.vehicles[b, k].y
-                    is_free &= not math.sqrt(dx * dx + dy * dy) < SAFE_DISTANCE_M
-                if is_free:
-                    put_on_lane(scenes, b, count, IDM, lane, s, heading_at(road, lane, s), speed)
+                if has_space(scenes, b, count, x, y, SAFE_DISTANCE_M):
+                    put_on_lane(scenes, b, count, IDM, lane, s, speed)
                     count += 1
         for i in range(count, 1 + rule.others):
             scenes.vehicles[b, i].kind = NOTHING

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
-from zlib import crc32
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from charms_bench.roads.map_lanes import driven_lanes, map_of
 from charms_bench.roads.routes import Routes, plan_way
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, list_by_place, place
 from charms_bench.roads.task import draw_behaviour
-from charms_bench.world.moments import Moments, Tracks
+from charms_bench.world.moments import Moments, Tracks, in_order, order_of
 from charms_bench.world.named_road import PLANNING_PROBLEM, hash_of
 from charms_bench.world.road import closest_lane, heading_at, local_coordinates, width_at
 from charms_bench.world.road_network import Network
@@ -96,8 +95,7 @@ def recorded_on(
 ) -> OnRoad:
     """The moments of a scene for episodes of a duration, or of as long as the scene lasts.
 
-    Raises:
-        InputError: There is none.
+    Raises an `InputError` if there is none.
     """
     if start == PLANNING_PROBLEM:
         return _at_problems(scene, road, duration, links)
@@ -118,7 +116,7 @@ def recorded_on(
     egos, goals = egos[can_go], goals[can_go]
     names = [f"vehicle {scene.ids[ego]}" for ego in egos]
     moments = _moments(tracks, egos, np.full(egos.size, frame), rate, names)
-    lanes, s = _places(road, tracks, goals[_order(names)])
+    lanes, s = _places(road, tracks, goals[order_of(names)])
     return OnRoad(moments, Goals(_last_lanes(road, scene), lanes, s), duration)
 
 
@@ -142,7 +140,7 @@ def _at_problems(
     moments = _moments(tracks, egos, of_egos.first, scene.rate_hz, names)
     ends = [each.last or int(scene.tracks.last.max()) for each in scene.problems]
     lasting = min(end - each.frame for end, each in zip(ends, scene.problems, strict=True))
-    goals, order = (np.full(egos.size, -1), np.zeros(egos.size)), _order(names)
+    goals, order = (np.full(egos.size, -1), np.zeros(egos.size)), order_of(names)
     for k, m in enumerate(order):
         areas = [area for state in scene.problems[m].goals for area in state.areas]
         goals[0][k], goals[1][k] = _goal(areas, road, int(starts[m]), links)
@@ -155,26 +153,11 @@ def _at_problems(
 def _moments(
     tracks: Tracks, egos: Ints, frames: Ints, rate_hz: float, names: Sequence[str]
 ) -> Moments:
-    """A moment for each ego, in the order of `_order`."""
+    """A moment for each ego, in the order of `order_of`."""
     every = np.argsort(tracks.first, kind="stable")
     every = every[np.isfinite(tracks.length[every])]  # which those of planning problems are not
-    vehicles = np.full((egos.size, 1 + every.size), -1)
-    for row, ego in zip(vehicles, egos, strict=True):
-        others = every[every != ego]
-        row[: 1 + others.size] = ego, *others
-    order, is_used = _order(names), (vehicles >= 0).any(axis=0)
-    return Moments(
-        tracks=tracks,
-        vehicles=vehicles[order][:, is_used],
-        frame=frames[order],
-        rate_hz=np.full(egos.size, rate_hz),
-        names=tuple(names[k] for k in order),
-    )
-
-
-def _order(names: Sequence[str]) -> Ints:
-    """The order of the episodes, in which neighbours are about as alike as any two."""
-    return np.argsort([crc32(name.encode()) for name in names], kind="stable")
+    vehicles = [np.array([ego, *every[every != ego]]) for ego in egos]
+    return in_order(tracks, vehicles, frames, np.full(egos.size, rate_hz), names)
 
 
 def _last_lanes(road: Network, scene: RecordedScene) -> Ints:
@@ -272,38 +255,40 @@ def do_overlap(tracks: Tracks, v: int, other: int, at: int, corners: Floats) -> 
 
 def put_recorded(scenes: Scenes, rows: Ints, numbers: Ints, scene: OnRoad, routes: Routes) -> None:
     """Places the vehicles of the moments `numbers` (R,) in the scenes `rows` (R,)."""
-    moments = scene.moments
-    _put(scenes, rows, numbers, moments.tracks, moments.frame, *_of_vehicles(scenes, scene, routes))
+    _put(scenes, rows, numbers, _starts_of(scenes, scene, routes))
 
 
 def enter(scenes: Scenes, vehicles: Vehicles, numbers: Ints, scene: OnRoad, routes: Routes) -> None:
     """Completes M vehicles that appear after the start of the moments `numbers` (M,)."""
-    (rows, places), tracks = vehicles, scene.moments.tracks
-    _enter(scenes, rows, places, numbers, tracks, *_of_vehicles(scenes, scene, routes))
+    rows, places = vehicles
+    _enter(scenes, rows, places, numbers, _starts_of(scenes, scene, routes))
 
 
-def _of_vehicles(scenes: Scenes, scene: OnRoad, routes: Routes) -> tuple[Ints, Goals, Routes]:
-    """The vehicles of moments, and their goals as indices of `Routes.goals`."""
+class _Starts(NamedTuple):
+    """What places the vehicles of moments."""
+
+    tracks: Tracks
+    frames: Ints
+    vehicles: Ints
+    goals: Goals
+    """Their lanes are indices of `Routes.goals`."""
+    routes: Routes
+
+
+def _starts_of(scenes: Scenes, scene: OnRoad, routes: Routes) -> _Starts:
     table, goals = scenes.road.lanes, scene.goals
     goal_of = np.full(table.size + 1, -1)  # the last is that of no lane
     for goal, first in enumerate(routes.goals.tolist()):
         goal_of[first : first + table["lanes"][first]] = goal
     goals = Goals(goal_of[goals.lane], goal_of[goals.ego_lane], goals.ego_s)
-    return scene.moments.vehicles, goals, routes
+    moments = scene.moments
+    return _Starts(moments.tracks, moments.frame, moments.vehicles, goals, routes)
 
 
 @compiled_of_scenes
-def _put(
-    scenes: Scenes,
-    rows: Ints,
-    numbers: Ints,
-    tracks: Tracks,
-    frames: Ints,
-    vehicles: Ints,
-    goals: Goals,
-    routes: Routes,
-) -> None:
+def _put(scenes: Scenes, rows: Ints, numbers: Ints, starts: _Starts) -> None:
     """See `put_recorded`."""
+    tracks, frames, vehicles = starts.tracks, starts.frames, starts.vehicles
     for r in range(rows.size):
         b, m = rows[r], numbers[r]
         here = here_of(scenes, b)
@@ -318,39 +303,22 @@ def _put(
             vehicle = scenes.vehicles[b, i]
             vehicle.x, vehicle.y, vehicle.heading = tracks.x[k], tracks.y[k], tracks.heading[k]
             vehicle.speed, vehicle.target_speed = tracks.speed[k], tracks.fastest[v]
-            complete(scenes, b, i, m, tracks, vehicles, goals, routes)
+            complete(scenes, b, i, m, starts)
         list_by_place(scenes, b)
 
 
 @compiled_of_scenes
-def _enter(
-    scenes: Scenes,
-    rows: Ints,
-    places: Ints,
-    numbers: Ints,
-    tracks: Tracks,
-    vehicles: Ints,
-    goals: Goals,
-    routes: Routes,
-) -> None:
+def _enter(scenes: Scenes, rows: Ints, places: Ints, numbers: Ints, starts: _Starts) -> None:
     """See `enter`."""
     for n in range(rows.size):
-        complete(scenes, rows[n], places[n], numbers[n], tracks, vehicles, goals, routes)
+        complete(scenes, rows[n], places[n], numbers[n], starts)
 
 
 @compiled
-def complete(
-    scenes: Scenes,
-    b: int,
-    i: int,
-    m: int,
-    tracks: Tracks,
-    vehicles: Ints,
-    goals: Goals,
-    routes: Routes,
-) -> None:
+def complete(scenes: Scenes, b: int, i: int, m: int, starts: _Starts) -> None:
     """Gives vehicle i of moment m, which is at its place, all that follows from it."""
-    vehicle, v = scenes.vehicles[b, i], vehicles[m, i]
+    tracks, goals = starts.tracks, starts.goals
+    vehicle, v = scenes.vehicles[b, i], starts.vehicles[m, i]
     x, y, wanted = vehicle.x, vehicle.y, vehicle.target_speed
     place(scenes, b, i, COMMANDED if i == 0 else IDM, x, y, vehicle.heading, vehicle.speed)
     if not math.isnan(tracks.length[v]):
@@ -361,4 +329,4 @@ def complete(
         vehicle.goal_s = goals.ego_s[m]
     else:
         draw_behaviour(scenes, b, i)
-    plan_way(vehicle, scenes.road, routes, vehicle.lane, True)
+    plan_way(vehicle, scenes.road, starts.routes, vehicle.lane, True)

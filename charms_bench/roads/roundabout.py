@@ -7,24 +7,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine.meta_actions import index_of
 from charms_bench.errors import InputError
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, normal, uniform
 from charms_bench.roads.layout import WIDTH_M, Edge
-from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, index_of, put_on_lane
+from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_lane
 from charms_bench.roads.task import (
+    Reward,
     Task,
     draw_behaviour,
+    has_space,
     is_on_own_lane,
     plan_route,
-    share,
-    weighted,
+    reward_of,
 )
 from charms_bench.world.actions import LANE_LEFT, LANE_RIGHT
 from charms_bench.world.lane_geometry import CIRCULAR, Pair
-from charms_bench.world.road import heading_at, position
+from charms_bench.world.road import position
 from charms_bench.world.road_network import (
     NO_LINE,
     SOLID,
@@ -73,19 +75,13 @@ class Rule(NamedTuple):
     destination: int
     """The exit of the vehicles whose exit can be given, -1 if it is drawn."""
     destinations: int
-    normalises: bool
 
 
 class Roundabout(Task):
     """[`RoundaboutEnv`]"""
 
     actions = ("DiscreteMetaAction", "DiscreteAction")
-    terms = (
-        "collision_reward",
-        "high_speed_reward",
-        "lane_change_reward",
-        "on_road_reward",
-    )
+    terms = ("collision_reward", "high_speed_reward", "lane_change_reward", "on_road_reward")
     vehicles = 5
     exits: tuple[str, ...] = _EXITS
 
@@ -101,7 +97,6 @@ class Roundabout(Task):
             self._own_start(),
             -1 if given is None else range(len(self.exits))[self._exit(given)],
             len(self.exits),
-            bool(config["normalize_reward"]),
         )
 
     def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
@@ -133,7 +128,7 @@ class Roundabout(Task):
         _send(scenes, b, i, self._rule, self._routes)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
-        _judge(scenes, rows, actions, self.weights, self._rule, rewards)
+        _judge(scenes, rows, actions, self.reward, rewards)
 
     def entering(self, scenes: Scenes) -> Ints:
         """The egos (B,)."""
@@ -246,16 +241,22 @@ def side(name: str, near: float, far: float, entry: Bend, way_out: Bend) -> Iter
 @compiled
 def put_ego(scenes: Scenes, b: int, rule: Rule, routes: Ints) -> None:
     """Puts the ego at its entry, with the route to the northern exit."""
-    heading = heading_at(scenes.road, rule.own, rule.own_start)
-    put_on_lane(scenes, b, 0, COMMANDED, rule.own, rule.own_start, heading, 8.0)
+    put_on_lane(scenes, b, 0, COMMANDED, rule.own, rule.own_start, 8.0)
     plan_route(scenes, b, 0, routes, rule.destinations)
+
+
+@compiled
+def drive_out(scenes: Scenes, b: int, i: int, rule: Rule, routes: Ints, destination: int) -> None:
+    """Has a vehicle drive to an exit, which is drawn if it is -1."""
+    if destination < 0:
+        destination = integers(scenes.generator[b], 0, rule.destinations)
+    plan_route(scenes, b, i, routes, destination)
+    draw_behaviour(scenes, b, i)
 
 
 @compiled_of_scenes
 def _send(scenes: Scenes, b: int, i: int, rule: Rule, routes: Ints) -> None:
-    """Has a vehicle drive to an exit."""
-    plan_route(scenes, b, i, routes, integers(scenes.generator[b], 0, rule.destinations))
-    draw_behaviour(scenes, b, i)
+    drive_out(scenes, b, i, rule, routes, -1)
 
 
 @compiled_of_scenes
@@ -267,13 +268,8 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, lanes: Ints, routes: Ints) ->
         for i, along in enumerate((5.0, 20.0, -20.0, 50.0)):
             s = along + normal(state, 0.0, 1.0) * DEVIATION
             speed = 16.0 + normal(state, 0.0, 1.0) * DEVIATION
-            heading = heading_at(scenes.road, lanes[i], s)
-            put_on_lane(scenes, b, i + 1, IDM, lanes[i], s, heading, speed)
-            destination = rule.destination
-            if i > 0 or destination < 0:
-                destination = integers(state, 0, rule.destinations)
-            plan_route(scenes, b, i + 1, routes, destination)
-            draw_behaviour(scenes, b, i + 1)
+            put_on_lane(scenes, b, i + 1, IDM, lanes[i], s, speed)
+            drive_out(scenes, b, i + 1, rule, routes, rule.destination if i == 0 else -1)
 
 
 @compiled_of_scenes
@@ -290,18 +286,10 @@ def _start_generic(scenes: Scenes, rows: Ints, rule: Rule, lanes: Ints, routes: 
                 lane = first + integers(state, 0, road.lanes[first].lanes)
                 s = uniform(state, 5.0, max(5.0, road.lanes[lane].length - 5.0))
                 x, y = position(road, lane, s, 0.0)
-                is_safe = True
-                for k in range(count):
-                    dx, dy = x - scenes.vehicles[b, k].x, y - scenes.vehicles[b, k].y
-                    is_safe &= not math.sqrt(dx * dx + dy * dy) < SAFE_DISTANCE_M
-                if is_safe:
+                if has_space(scenes, b, count, x, y, SAFE_DISTANCE_M):
                     speed = 14.0 + normal(state, 0.0, 1.0) * DEVIATION
-                    put_on_lane(scenes, b, count, IDM, lane, s, heading_at(road, lane, s), speed)
-                    destination = rule.destination
-                    if destination < 0:
-                        destination = integers(state, 0, rule.destinations)
-                    plan_route(scenes, b, count, routes, destination)
-                    draw_behaviour(scenes, b, count)
+                    put_on_lane(scenes, b, count, IDM, lane, s, speed)
+                    drive_out(scenes, b, count, rule, routes, rule.destination)
                     count += 1
                     break
         for i in range(count, rule.vehicles):
@@ -309,9 +297,7 @@ def _start_generic(scenes: Scenes, rows: Ints, rule: Rule, lanes: Ints, routes: 
 
 
 @compiled_of_scenes
-def _judge(
-    scenes: Scenes, rows: Ints, actions: Ints, weights: Floats, rule: Rule, out: Floats
-) -> None:
+def _judge(scenes: Scenes, rows: Ints, actions: Ints, reward: Reward, out: Floats) -> None:
     """[`RoundaboutEnv._reward`, `RoundaboutEnv._rewards`]"""
     for b in rows:
         ego = scenes.vehicles[b, 0]
@@ -322,7 +308,5 @@ def _judge(
         out[b, 2] = index / 2  # of the default target speeds, whatever they are
         out[b, 3] = actions[b] in (LANE_LEFT, LANE_RIGHT)
         out[b, 4] = is_on_own_lane(scenes, b)
-        total = weighted(weights, out[b])
-        if rule.normalises:
-            total = share(total, weights[0], weights[1])
+        total = reward_of(reward, out[b], reward.weights[0], reward.weights[1])
         out[b, 0] = total * out[b, 4]

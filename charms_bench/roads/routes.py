@@ -41,14 +41,20 @@ class Routes(NamedTuple):
     """[G, L] how far the way leads from each lane's start without a lane change, m."""
 
 
-def routes_of(road: Network, links: Sequence[Sequence[int]], goals: Ints) -> Routes:
-    """The ways to some roads.
+class Net(NamedTuple):
+    """By what vehicles find their ways on a road in a file."""
 
-    Args:
-        road: The lanes.
-        links: The lanes that follow each lane.
-        goals: (G,) the first lanes of the roads.
-    """
+    routes: Routes
+    inside: Ints
+    """(L,) whether each lane is in a junction."""
+    links: Ints
+    """The lanes that follow each lane, lane after lane."""
+    ends: Ints
+    """(L,) the number of links up to each lane."""
+
+
+def routes_of(road: Network, links: Sequence[Sequence[int]], goals: Ints) -> Routes:
+    """The ways to the roads with the first lanes `goals` (G,); `links` follow each lane."""
     table = road.lanes
     count, lengths = table.size, table["length"]
     goals = goals[np.linspace(0, goals.size - 1, min(goals.size, MOST_GOALS)).astype(np.int64)]
@@ -64,12 +70,10 @@ def routes_of(road: Network, links: Sequence[Sequence[int]], goals: Ints) -> Rou
     order = np.lexsort((cost, start, end))
     start, end, cost = start[order].astype(int), end[order].astype(int), cost[order]
     is_first = np.append(True, (np.diff(start) != 0) | (np.diff(end) != 0))
-    backwards = csr_array(
-        (cost[is_first], (end[is_first], start[is_first])), shape=(count + goals.size,) * 2
-    )
-    distance, before = dijkstra(
-        backwards, indices=count + np.arange(goals.size), return_predecessors=True
-    )
+    ends = end[is_first], start[is_first]
+    backwards = csr_array((cost[is_first], ends), shape=(count + goals.size,) * 2)
+    own = count + np.arange(goals.size)
+    distance, before = dijkstra(backwards, indices=own, return_predecessors=True)
     following = before[:, :count].astype(np.int32)
     following[(following < 0) | (following >= count)] = -1
     distance = np.ascontiguousarray(distance[:, :count])

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine.meta_actions import index_of
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import (
@@ -21,8 +22,8 @@ from charms_bench.foundation.compiled import (
 from charms_bench.foundation.generator import State
 from charms_bench.roads.nearby import map_of
 from charms_bench.world.profile import Constants, IdmMobilParameters
-from charms_bench.world.road import closest_lane, position
-from charms_bench.world.road_network import Network
+from charms_bench.world.road import closest_lane, heading_at, position
+from charms_bench.world.road_network import Network, roads_after
 
 KINDS = ("nothing", "landmark", "obstacle", "dynamical", "continuous", "commanded", "idm")
 """What is at a place; a vehicle's `kind` is an index into this tuple.
@@ -284,12 +285,12 @@ def _connected(road: Network, connects: bool) -> Iterator[Found]:
     table, roads = road.lanes, np.unique(road.lanes["first"]).tolist()
     before: dict[int, list[int]] = {first: [] for first in roads}
     for first in roads if connects else ():
-        for following in _following(road, first):
+        for following in roads_after(road, first):
             before[following].append(first)
     for lane, row in enumerate(table):
         number = lane - row["first"]
         found = [(lane, 0.0)]
-        for following in _following(road, lane) if connects else ():
+        for following in roads_after(road, lane) if connects else ():
             found.append((_same_number(table, following, number), row["length"]))
         for each in before[int(row["first"])]:
             previous = _same_number(table, each, number)
@@ -319,13 +320,6 @@ def _linked(road: Network, links: Sequence[Sequence[int]]) -> Iterator[Found]:
                 (after,) = links[after]
         known = {known for known, _ in found}
         yield found + [(one, -float(lengths[one])) for one in before[lane] if one not in known]
-
-
-def _following(road: Network, lane: int) -> list[int]:
-    """The first lanes of the roads that start where a lane ends."""
-    row = road.lanes[lane]
-    first = row["next_roads"]
-    return [int(each) for each in road.successors[first : first + row["next_count"]]]
 
 
 def _same_number(table: NDArray[np.void], first: int, number: int) -> int:
@@ -424,14 +418,6 @@ def lane_of(here: Here, lane: int) -> Row:
 
 
 @compiled
-def index_of(speed: float, target_speeds: Floats) -> int:
-    """The index of the nearest target speed [`MDPVehicle.speed_to_index`]."""
-    last = target_speeds.size - 1
-    share = (speed - target_speeds[0]) / (target_speeds[-1] - target_speeds[0])
-    return int(min(max(round(share * last), 0), last))
-
-
-@compiled
 def place(
     scenes: Scenes, b: int, i: int, kind: int, x: float, y: float, heading: float, speed: float
 ) -> None:
@@ -481,11 +467,11 @@ def place_near(
 
 @compiled
 def put_on_lane(
-    scenes: Scenes, b: int, i: int, kind: int, lane: int, s: float, heading: float, speed: float
+    scenes: Scenes, b: int, i: int, kind: int, lane: int, s: float, speed: float
 ) -> None:
-    """Puts a vehicle at a place of scene b, in the middle of a lane."""
+    """Puts a vehicle at a place of scene b, in the middle of a lane and along it."""
     x, y = position(scenes.road, lane, s, 0.0)
-    place(scenes, b, i, kind, x, y, heading, speed)
+    place(scenes, b, i, kind, x, y, heading_at(scenes.road, lane, s), speed)
 
 
 @compiled

@@ -23,7 +23,7 @@ from charms_bench.roads.layout import Layout
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, place_near
 from charms_bench.roads.settings import layout_on
 from charms_bench.roads.task import Task
-from charms_bench.world.placement import Location, Placement, Placing
+from charms_bench.world.placement import Location, Placement, Placing, place_of
 from charms_bench.world.road import heading_at, local_coordinates, next_lane, position
 from charms_bench.world.road_network import Network
 from charms_bench.world.scene import SceneSettings
@@ -65,7 +65,7 @@ class PlacingOnRoad(Placing):
         if vehicle.destination not in (None, *nodes):
             what = f"no node named '{vehicle.destination}'"
             what += f". {suggestion(vehicle.destination, dict.fromkeys(sorted(nodes)))}"
-            raise ScenarioError((*_at(i), "destination"), what)
+            raise ScenarioError((*place_of(i), "destination"), what)
         return way_to(self._layout, vehicle.destination)
 
     def _put(self, i: int, at: Location, names: Any, made: Placement) -> None:
@@ -73,9 +73,8 @@ class PlacingOnRoad(Placing):
         first, lanes = road.lanes["first"], road.lanes["lanes"]
         if vehicle.x_m is not None:
             field, begin, way = "x_m", self._first_lane(at, vehicle), self.towards[i]
-            start = begin + self._lane(
-                (*at, "lane"), vehicle.lane, lanes[begin], self._name_of(begin)
-            )
+            name = self._name_of(begin)
+            start = begin + self._lane((*at, "lane"), vehicle.lane, lanes[begin], name)
             along = self.within((*at, "x_m"), vehicle.x_m, -np.inf, np.inf)
         elif vehicle.road is not None:
             raise ScenarioError((*at, "road"), "the gap says where the vehicle is; remove one")
@@ -132,11 +131,6 @@ class PlacingOnRoad(Placing):
 
     def _y_of(self, lane: NDArray[np.int64]) -> Floats:
         return np.zeros(self._count)  # the lanes of an action are numbers on roads to come
-
-
-def _at(i: int) -> Location:
-    """Where vehicle i is in a scenario."""
-    return ("vehicles", i - 1) if i else ("ego",)
 
 
 class Motion(NamedTuple):
@@ -379,9 +373,8 @@ def drive(
         lane, onto = motion.lane[b, i], motion.onto[b, i]
         beyond = lane_after(road, way, onto) if onto != lane else after
         # Some of highway-env's lanes begin a little before or after the end of the one before.
-        motion.s[b, i] = local_coordinates(road, after, *position(road, lane, motion.s[b, i], 0.0))[
-            0
-        ]
+        x, y = position(road, lane, motion.s[b, i], 0.0)
+        motion.s[b, i], _ = local_coordinates(road, after, x, y)
         is_beside = beyond >= 0 and road.lanes[beyond].first == road.lanes[after].first
         motion.lane[b, i], motion.onto[b, i] = after, beyond if is_beside else after
         motion.part[b, i] = motion.part[b, i] if motion.onto[b, i] != after else 0.0

@@ -171,14 +171,10 @@ def on_road(
     """
     _check(road)
     duration_s = settings.duration_s if duration_s is None else duration_s
-    if (
-        "duration" in DEFAULTS[road.environment]
-    ):  # which decides how many vehicles there is room for
-        configuration = {**(road.configuration or {}), "duration": duration_s}
-        road = road.model_copy(update={"configuration": configuration})
-    if scenario is not None and "spawn_probability" in DEFAULTS[road.environment]:
-        configuration = {**(road.configuration or {}), "spawn_probability": 0.0}
-        road = road.model_copy(update={"configuration": configuration})
+    own = {"duration": duration_s}  # which decides how many vehicles there is room for
+    own |= {"spawn_probability": 0.0} if scenario is not None else {}
+    if own := {key: each for key, each in own.items() if key in DEFAULTS[road.environment]}:
+        road = road.model_copy(update={"configuration": {**(road.configuration or {}), **own}})
     found, defaults = _road(road), SceneSettings.model_fields
     reject_of_straight_roads(
         road, [name for name, value in settings if value != defaults[name].default]

@@ -8,13 +8,7 @@ from charms_bench.engine.collision_detection import fill_polygon, polygons_inter
 from charms_bench.foundation.arrays import Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined, row_after
 from charms_bench.roads.driving import act, command
-from charms_bench.roads.dynamics import (
-    finish,
-    go_straight,
-    move_with_slip,
-    prepare,
-    turn_batch,
-)
+from charms_bench.roads.dynamics import finish, go_straight, move_with_slip, prepare, turn_batch
 from charms_bench.roads.locating import are_above, forget, locate
 from charms_bench.roads.looking_ahead import look_ahead
 from charms_bench.roads.right_of_way import enforce

@@ -21,6 +21,7 @@ from charms_bench.roads.looking_ahead import speed_ahead
 from charms_bench.roads.scenes import NOTHING, Here, Row, Scenes, lane_of, vehicle_of
 from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import local_coordinates, next_lane, position
+from charms_bench.world.road_network import leads_to
 from charms_bench.world.scene import VACANT_X_M, Scene
 
 BEHIND, AHEAD = 3, 6
@@ -219,10 +220,8 @@ def find_way(scenes: Scenes, b: int, i: int, ways: Ways) -> None:
         next_road = next_number = -1
         if step < vehicle.route_end:
             step += vehicle.route_roads[step] == row.first
-        if step < vehicle.route_end:
-            for following in road.successors[row.next_roads : row.next_roads + row.next_count]:
-                if following == vehicle.route_roads[step]:
-                    next_road, next_number = following, vehicle.route_numbers[step]
+        if step < vehicle.route_end and leads_to(road, lane, vehicle.route_roads[step]):
+            next_road, next_number = vehicle.route_roads[step], vehicle.route_numbers[step]
         x, y = position(road, lane, row.length, 0.0)
         found = next_lane(road, lane, next_road, next_number, x, y)
         if found == lane:

@@ -1,18 +1,19 @@
 """What is particular to one of highway-env's environments: its scenes, rewards and endings."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.foundation.arrays import Bools, Floats, Ints
-from charms_bench.foundation.compiled import compiled, compiled_of_scenes
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, inlined
 from charms_bench.foundation.generator import random, uniform
 from charms_bench.roads.fault import ranks_of
 from charms_bench.roads.layout import Edge, Layout, RoadObject
-from charms_bench.roads.scenes import COMMANDED, GAINS, Row, Scenes
+from charms_bench.roads.scenes import COMMANDED, GAINS, NOTHING, Row, Scenes
 from charms_bench.world.moments import Moments
 from charms_bench.world.road import is_on_lane
 from charms_bench.world.scene import Vehicles
@@ -20,12 +21,20 @@ from charms_bench.world.scene import Vehicles
 ACTIONS = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
 
 
-class Task(ABC):
-    """The road and the rules of an environment; methods take the scenes `rows` (R,).
+class Reward(NamedTuple):
+    """What highway-env's configuration says of a reward."""
 
-    Args:
-        config: highway-env's configuration.
-    """
+    weights: Floats
+    """(K,) what the terms are multiplied by."""
+    speed_low: float
+    """The speed whose term is 0, m/s."""
+    speed_high: float
+    """The speed whose term is 1, m/s."""
+    normalises: bool
+
+
+class Task(ABC):
+    """The road and the rules of an environment; methods take the scenes `rows` (R,)."""
 
     terms: ClassVar[tuple[str, ...]]
     """The terms of the reward, in highway-env's order, which the configuration weights by name."""
@@ -62,8 +71,10 @@ class Task(ABC):
     """What stands on the road, in highway-env's order [`Road.objects`]."""
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        self.weights = np.array([float(config.get(term, 0)) for term in self.terms])
-        """What the terms are multiplied by."""
+        weights = np.array([float(config.get(term, 0)) for term in self.terms])
+        low, high, *_ = config.get("reward_speed_range", (0, 0))
+        normalises = bool(config.get("normalize_reward"))
+        self.reward = Reward(weights, float(low), float(high), normalises)
         self.egos = int(config.get("controlled_vehicles", 1))
         """The number of controlled vehicles."""
         self.duration = float(config.get("duration", np.inf))
@@ -184,12 +195,36 @@ def draw_behaviour(scenes: Scenes, b: int, i: int) -> None:
 
 
 @compiled
+def has_space(scenes: Scenes, b: int, count: int, x: float, y: float, space: float) -> bool:
+    """Whether none of the first vehicles is closer to a point than a distance."""
+    for i in range(count):
+        vehicle = scenes.vehicles[b, i]
+        dx, dy = vehicle.x - x, vehicle.y - y
+        if vehicle.kind != NOTHING and math.sqrt(dx * dx + dy * dy) < space:
+            return False
+    return True
+
+
+@compiled
 def weighted(weights: Floats, row: Floats) -> float:
     """The sum of the terms that follow the reward in its row, times their weights."""
     total = 0.0
     for k in range(weights.size):
         total += weights[k] * row[k + 1]
     return total
+
+
+@inlined
+def reward_of(reward: Reward, row: Floats, low: float, high: float) -> float:
+    """The same, from 0 at a value to 1 at another one if the reward is normalised."""
+    total = weighted(reward.weights, row)
+    return share(total, low, high) if reward.normalises else total
+
+
+@inlined
+def speed_term(reward: Reward, speed: float) -> float:
+    """The term of a speed, from 0 to 1."""
+    return clip(share(speed, reward.speed_low, reward.speed_high), 0.0, 1.0)
 
 
 @compiled
@@ -205,7 +240,14 @@ def wanted_lane(ego: Row) -> int:
 
 
 @compiled
-def is_on_own_lane(scenes: Scenes, b: int) -> bool:
-    """Whether the ego's centre is on its nearest lane [`RoadObject.on_road`]."""
-    ego = scenes.vehicles[b, 0]
-    return bool(is_on_lane(scenes.road, ego.lane, ego.x, ego.y, 0.0))
+def is_on_own_lane(scenes: Scenes, b: int, i: int = 0) -> bool:
+    """Whether a vehicle's centre is on its nearest lane [`RoadObject.on_road`]."""
+    vehicle = scenes.vehicles[b, i]
+    return bool(is_on_lane(scenes.road, vehicle.lane, vehicle.x, vehicle.y, 0.0))
+
+
+@compiled_of_scenes
+def end_off_road(scenes: Scenes, is_over: Bools) -> None:
+    """Ends the scenes (B,) whose ego has left the road."""
+    for b in range(is_over.size):
+        is_over[b] |= not is_on_own_lane(scenes, b)

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from charms_bench.foundation.arrays import Bools, Floats, Ints
-from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined, not_zero
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, not_zero
 from charms_bench.roads.scenes import CONTINUOUS, Here, Row, Scenes, here_of, lane_of, vehicle_of
 from charms_bench.world.lane_geometry import line_coordinates
-from charms_bench.world.road_network import Network
+from charms_bench.world.road_network import Network, leads_to
 from charms_bench.world.scene import Observations
 
 SIDES = 3
@@ -111,13 +111,3 @@ def find_connected(road: Network, ego: Row, branches: Ints, found: Bools) -> Non
             for k in range(row.next_roads, row.next_roads + row.next_count):
                 roads[count], steps[count], depths[count] = road.successors[k], step, depth - 1
                 count += 1
-
-
-@inlined
-def leads_to(road: Network, lane: int, following: int) -> bool:
-    """Whether the road with the first lane `following` starts where a lane ends."""
-    row = road.lanes[lane]
-    for k in range(row.next_roads, row.next_roads + row.next_count):
-        if road.successors[k] == following:
-            return True
-    return False

@@ -12,7 +12,6 @@ from charms_bench.foundation.generator import normal
 from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
 from charms_bench.roads.task import Task, weighted
-from charms_bench.world.road import heading_at
 from charms_bench.world.road_network import NO_LINE, SOLID_LINE, STRIPED, StraightLane
 
 LENGTH_M = 800.0
@@ -46,7 +45,7 @@ class TwoWay(Task):
         return np.asarray(scenes.vehicles["x"][:, 0] > GOAL_M)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
-        _judge(scenes, rows, self.weights, rewards)
+        _judge(scenes, rows, self.reward.weights, rewards)
 
 
 @compiled_of_scenes
@@ -54,16 +53,15 @@ def _start(scenes: Scenes, rows: Ints, own: int, oncoming: int) -> None:
     """[`TwoWayEnv._make_vehicles`]"""
     for b in rows:
         state = scenes.generator[b]
-        put_on_lane(scenes, b, 0, COMMANDED, own, 30.0, 0.0, 30.0)
+        put_on_lane(scenes, b, 0, COMMANDED, own, 30.0, 30.0)
         for k in range(3):
             s = 70.0 + 40.0 * k + 10.0 * normal(state, 0.0, 1.0)
             speed = 24.0 + 2.0 * normal(state, 0.0, 1.0)
-            put_on_lane(scenes, b, 1 + k, IDM, own, s, heading_at(scenes.road, own, s), speed)
+            put_on_lane(scenes, b, 1 + k, IDM, own, s, speed)
         for k in range(2):
             s = 200.0 + 100.0 * k + 10.0 * normal(state, 0.0, 1.0)
             speed = 20.0 + 5.0 * normal(state, 0.0, 1.0)
-            heading = heading_at(scenes.road, oncoming, s)
-            put_on_lane(scenes, b, 4 + k, IDM, oncoming, s, heading, speed)
+            put_on_lane(scenes, b, 4 + k, IDM, oncoming, s, speed)
             scenes.vehicles[b, 4 + k].target_lane = oncoming
         for i in range(1, 6):
             scenes.vehicles[b, i].changes_lanes = False

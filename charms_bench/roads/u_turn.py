@@ -2,25 +2,26 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.foundation.compiled import clip, compiled_of_scenes
+from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import normal
 from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
 from charms_bench.roads.task import (
+    Reward,
     Task,
     draw_behaviour,
+    head_for,
     is_on_own_lane,
     plan_route,
-    share,
-    weighted,
+    reward_of,
+    speed_term,
 )
-from charms_bench.world.road import heading_at
 from charms_bench.world.road_network import (
     NO_LINE,
     SOLID,
@@ -45,14 +46,6 @@ DEVIATION = 2.0
 """Of positions, m, and of speeds, m/s."""
 
 
-class Rule(NamedTuple):
-    """What the functions below need to know; SI units."""
-
-    speed_low: float
-    speed_high: float
-    normalises: bool
-
-
 class UTurn(Task):
     """[`UTurnEnv`]"""
 
@@ -61,8 +54,6 @@ class UTurn(Task):
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         super().__init__(config)
-        low, high = map(float, config["reward_speed_range"])
-        self._rule = Rule(low, high, bool(config["normalize_reward"]))
         self._routes = self.layout.routes_to(["d"])
         self._lanes = np.array([self.lanes["a", "b", 0], *(self.lanes[k[:3]] for k in _VEHICLES)])
         self._means = np.array([each[3:] for each in _VEHICLES])
@@ -90,16 +81,10 @@ class UTurn(Task):
         _start(scenes, rows, self._lanes, self._means, self._routes)
 
     def send(self, scenes: Scenes, b: int, i: int) -> None:
-        _send(scenes, b, i, self._routes)
+        head_for(scenes, np.array([b]), i, self._routes)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
-        _judge(scenes, rows, self.weights, self._rule, rewards)
-
-
-@compiled_of_scenes
-def _send(scenes: Scenes, b: int, i: int, routes: Ints) -> None:
-    """Has a vehicle drive to the end."""
-    plan_route(scenes, b, i, routes, 0)
+        _judge(scenes, rows, self.reward, rewards)
 
 
 @compiled_of_scenes
@@ -107,29 +92,26 @@ def _start(scenes: Scenes, rows: Ints, lanes: Ints, means: Floats, routes: Ints)
     """[`UTurnEnv._make_vehicles`]"""
     for b in rows:
         state = scenes.generator[b]
-        put_on_lane(scenes, b, 0, COMMANDED, lanes[0], 0.0, 0.0, 16.0)
+        put_on_lane(scenes, b, 0, COMMANDED, lanes[0], 0.0, 16.0)
         plan_route(scenes, b, 0, routes, 0)
         for i in range(1, lanes.size):
             s = means[i - 1, 0] + normal(state, 0.0, 1.0) * DEVIATION
             speed = means[i - 1, 1] + normal(state, 0.0, 1.0) * DEVIATION
-            heading = heading_at(scenes.road, lanes[i], s)
-            put_on_lane(scenes, b, i, IDM, lanes[i], s, heading, speed)
+            put_on_lane(scenes, b, i, IDM, lanes[i], s, speed)
             plan_route(scenes, b, i, routes, 0)
             if i == 1:
                 draw_behaviour(scenes, b, i)
 
 
 @compiled_of_scenes
-def _judge(scenes: Scenes, rows: Ints, weights: Floats, rule: Rule, out: Floats) -> None:
+def _judge(scenes: Scenes, rows: Ints, reward: Reward, out: Floats) -> None:
     """[`UTurnEnv._reward`, `UTurnEnv._rewards`]"""
+    low, high = reward.weights[0], reward.weights[2] + reward.weights[1]
     for b in rows:
         ego = scenes.vehicles[b, 0]
         row = scenes.road.lanes[ego.lane]
         out[b, 1] = ego.crashed
         out[b, 2] = (ego.lane - row.first) / max(row.lanes - 1, 1)
-        out[b, 3] = clip(share(ego.speed, rule.speed_low, rule.speed_high), 0.0, 1.0)
+        out[b, 3] = speed_term(reward, ego.speed)
         out[b, 4] = is_on_own_lane(scenes, b)
-        total = weighted(weights, out[b])
-        if rule.normalises:
-            total = share(total, weights[0], weights[2] + weights[1])
-        out[b, 0] = total * out[b, 4]
+        out[b, 0] = reward_of(reward, out[b], low, high) * out[b, 4]

@@ -32,14 +32,7 @@ own: the vehicles by x."""
 
 
 class RoadViews:
-    """The `engine.views.Views` of scenes on a network.
-
-    Args:
-        settings: Those of the scenes.
-        scenes: The scenes.
-        state: The same, as `Engine.state`.
-        fault: Judges their collisions.
-    """
+    """The `engine.views.Views` of scenes on a network; `state` has them as `Engine.state`."""
 
     def __init__(self, settings: SceneSettings, scenes: Scenes, state: Scene, fault: Fault) -> None:
         self._settings, self._scenes, self._state, self._fault = settings, scenes, state, fault
@@ -116,14 +109,7 @@ def see_themselves(scenes: Scenes, own: Any, ways: Any, rows: Ints) -> None:
 
 @compiled_of_scenes
 def see_each(
-    scenes: Scenes,
-    own: Any,
-    ways: Any,
-    along: Any,
-    rows: Ints,
-    places: Ints,
-    ends: Ints,
-    seen: Any,
+    scenes: Scenes, own: Any, ways: Any, along: Any, rows: Ints, places: Ints, ends: Ints, seen: Any
 ) -> None:
     """Fills in what M vehicles see.
 

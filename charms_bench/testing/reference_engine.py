@@ -4,9 +4,8 @@ The profile's constants are set on subclasses of highway-env's classes. Where a 
 its highway-env class, this engine uses that class; any other model gets each scene as arrays.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,15 +17,14 @@ from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from charms_bench.engine import MakeEngine
+from charms_bench.engine import Cast, Engine, MakeEngine
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.draws import ReplayedDraws
 from charms_bench.engine.neighbours import locate
-from charms_bench.engine.shown import Shown
 from charms_bench.engine.stepping import BeforeMove, Put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import from_numpy, seeded, to_numpy
-from charms_bench.plugins.agent import DriverModel, Policy
+from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, MetaAction, follows_profile
 from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.profile import Profile
@@ -38,36 +36,21 @@ _NOBODY = -1
 RandomSource = np.random.Generator | ReplayedDraws
 
 
-class HighwayEnvEngine(Shown):
+class HighwayEnvEngine(Engine):
     """highway-env itself, behind the interface of `charms_bench.engine`."""
 
-    def __init__(
-        self,
-        settings: SceneSettings,
-        scenes: int,
-        models: Mapping[int, DriverModel],
-        continuous: Collection[int] = (),
-        memory: int = 0,
-        prescribed: Collection[int] = (),
-        own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
-        policies: Mapping[int, Policy] = MappingProxyType({}),
-    ) -> None:
-        parameters = max((len(model.parameters) for model in models.values()), default=0)
-        self.state = self.scene = Scene.empty(settings, scenes, parameters, memory)
-        self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
-        self.measures: Mapping[str, Floats] = {}
-        self.goals = np.zeros(scenes, dtype=np.bool_)
+    def __init__(self, settings: SceneSettings, scenes: int, cast: Cast) -> None:
+        super().__init__(settings, scenes, cast)
+        self.state = self.scene = Scene.empty(settings, scenes, cast.parameters, cast.memory)
         self.roads: list[Road] = [None] * scenes
         """highway-env's roads, for inspection or drawing."""
         self._vehicles: list[list[Any]] = [[] for _ in range(scenes)]
         """highway-env's vehicles of each scene by place, None at an empty one."""
-        self._settings = settings
-        self._models = models
         self._classes = {
-            agent: _reference_class(model, settings.profile) for agent, model in models.items()
+            agent: _reference_class(model, settings.profile) for agent, model in cast.models.items()
         }
-        self._own_actions = own_actions
-        for agent, actions in own_actions.items():
+        self._own_actions = cast.own_actions
+        for agent, actions in cast.own_actions.items():
             self._classes[agent] = _with_actions(settings.profile, actions)
         speeds = settings.profile.target_speeds_mps
         if speeds:
@@ -77,8 +60,6 @@ class HighwayEnvEngine(Shown):
             self._commanded = _with_actions(settings.profile, DEFAULT_ACTIONS)
         self._plain = _with_constants(Vehicle, settings.profile)
         """Spawns vehicles, and is the class of those with continuous actions."""
-        self._continuous = list(continuous)
-        self._prescribed = list(prescribed)
         self._actions = ContinuousAction(None)
         self._network = highway_env_network(settings.road)
 
@@ -104,9 +85,6 @@ class HighwayEnvEngine(Shown):
             self._copy_state(int(row))
         locate(self.scene, rows)
 
-    def saved(self, rows: Ints) -> NDArray[np.uint8]:
-        return np.zeros((rows.size, 0), dtype=np.uint8)
-
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
@@ -118,9 +96,6 @@ class HighwayEnvEngine(Shown):
         locate(self.scene, rows)
         for row in map(int, rows):
             self.roads[row] = self._road(row)
-
-    def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
-        return self._shown, vehicles
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         for row, place, action in zip(*vehicles, actions, strict=True):

@@ -79,11 +79,7 @@ def described_actions(actions: Sequence[MetaAction]) -> str:
 
 
 def actions_described(text: str) -> tuple[MetaAction, ...]:
-    """The meta-actions that a text from `described_actions` describes.
-
-    Raises:
-        InputError: The text describes no meta-actions.
-    """
+    """The meta-actions that a text from `described_actions` describes; else an `InputError`."""
     if text in ("meta", ", ".join(ACTIONS)):
         return DEFAULT_ACTIONS
     try:

@@ -118,14 +118,10 @@ def controls_of(actions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     They have the type of the actions, in which highway-env computes them too: for float32, their
     last bits differ from those for float64 [`ContinuousAction.get_action`, `utils.lmap`].
     """
-    clipped = np.clip(actions, -1, 1)
+    shares, ranges = np.clip(actions, -1, 1).T, (_ACCELERATION_RANGE_MPS2, _STEERING_RANGE_RAD)
     acceleration, steering = (
         low + (share + 1) * (high - low) / 2
-        for share, (low, high) in zip(
-            (clipped[:, 0], clipped[:, 1]),
-            (_ACCELERATION_RANGE_MPS2, _STEERING_RANGE_RAD),
-            strict=True,
-        )
+        for share, (low, high) in zip(shares, ranges, strict=True)
     )
     return acceleration, steering
 

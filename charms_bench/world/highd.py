@@ -17,15 +17,7 @@ import polars as pl
 from charms_bench.errors import DataError
 from charms_bench.foundation.arrays import Floats
 from charms_bench.world.csv_table import Columns, Numbers, read_table, reject
-from charms_bench.world.trajectories import (
-    LOWER,
-    TRACKS,
-    UPPER,
-    Recording,
-    Trio,
-    lateral,
-    slope,
-)
+from charms_bench.world.trajectories import LOWER, TRACKS, UPPER, Recording, Trio, lateral, slope
 
 _COUNT = Numbers(0, 1e9, whole=True)
 _TRACKS: Columns = {
@@ -68,11 +60,7 @@ KINDS = ("tracks", "tracksMeta", "recordingMeta")
 
 
 def read_highd(trio: Trio) -> Recording:
-    """A recording of three files.
-
-    Raises:
-        DataError: A file cannot be read, or the three files contradict each other.
-    """
+    """A recording of three files; raises a `DataError` if they cannot be read or contradict."""
     frame_rate, vehicles, markings, stated = _read_recording_meta(trio.recording_meta)
     meta = _read_tracks_meta(trio, vehicles)
     tracks = read_table(trio.tracks, _TRACKS, optional=_DERIVED).with_row_index("line", offset=2)

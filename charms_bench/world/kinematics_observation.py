@@ -17,21 +17,10 @@ from charms_bench.world.road import local_coordinates
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
 FEATURES = (
-    "presence",
-    "x",
-    "y",
-    "vx",
-    "vy",
-    "heading",
-    "cos_h",
-    "sin_h",
-    "cos_d",
-    "sin_d",
-    "long_off",
-    "lat_off",
-    "ang_off",
+    *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"),
+    *("cos_d", "sin_d", "long_off", "lat_off", "ang_off"),
 )
-"""The features that a row can have [`Vehicle.to_dict`]."""
+"""The features that a row can have, of which they are indices [`Vehicle.to_dict`]."""
 RELATIVE = ("x", "y", "vx", "vy")
 DEFAULT = ("presence", *RELATIVE)
 SPEED_MPS = 40.0

@@ -10,7 +10,7 @@ it, each lane is stretched from its width to the scene's lane width, which is th
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -84,6 +84,22 @@ class Moments:
     def numbers_of(self, seeds: NDArray[np.uint64]) -> Ints:
         """The numbers (R,) of the moments at which the episodes of seeds (R,) start."""
         return (seeds % np.uint64(len(self))).astype(np.int64)
+
+
+def order_of(names: Sequence[str]) -> Ints:
+    """The order of the episodes, in which neighbours are about as alike as any two."""
+    return np.argsort([crc32(name.encode()) for name in names], kind="stable")
+
+
+def in_order(
+    tracks: Tracks, vehicles: Sequence[Ints], frames: Ints, rates_hz: Floats, names: Sequence[str]
+) -> Moments:
+    """Moments from the vehicles of each, its frame, its rate and its name, in their order."""
+    table, order = np.full((len(names), max(map(len, vehicles))), -1), order_of(names)
+    for row, each in zip(table, vehicles, strict=True):
+        row[: each.size] = each
+    of_names = tuple(names[k] for k in order)
+    return Moments(tracks, table[order], frames[order], rates_hz[order], of_names)
 
 
 class _Carriageway(NamedTuple):
@@ -173,9 +189,8 @@ def scene_of(fields: Any) -> SceneSettings:
 def _decided(settings: SceneSettings) -> dict[str, Any]:
     """The fields of a scene that its recordings decide.
 
-    Raises:
-        DataError: The recordings cannot be used.
-        ValueError: The settings give such a field themselves.
+    Raises a `DataError` if they cannot be used, and a `ValueError` if the settings give such a
+    field themselves.
     """
     source = settings.recording
     assert source is not None
@@ -296,17 +311,8 @@ def _moments(
             f"{folder}: no moment{part} is followed by {duration_s:g} s of a vehicle that is "
             f"recorded, on one of {lanes} lanes and free of others; give a shorter duration_s"
         )
-    table = np.full((len(frames), max(each.size for each in vehicles)), -1)
-    for row, each in zip(table, vehicles, strict=True):
-        row[: each.size] = each
-    order = np.argsort([crc32(name.encode()) for name in names], kind="stable")
-    return Moments(
-        tracks=Tracks(*map(np.concatenate, zip(*parts, strict=True))),
-        vehicles=table[order],
-        frame=np.array(frames)[order],
-        rate_hz=np.array(rates)[order],
-        names=tuple(names[k] for k in order),
-    )
+    tracks = Tracks(*map(np.concatenate, zip(*parts, strict=True)))
+    return in_order(tracks, vehicles, np.array(frames), np.array(rates), names)
 
 
 def _tracks_of(

@@ -50,11 +50,7 @@ def is_ngsim(path: Path) -> bool:
 
 
 def read_ngsim(trio: Trio) -> Recording:
-    """A recording in the simulation's frame of reference.
-
-    Raises:
-        DataError: The table cannot be read, or is of a road with junctions.
-    """
+    """A recording of a table; raises a `DataError` if it cannot be read or is of another road."""
     path = trio.tracks
     names = {name.casefold(): name for name in header_of(path)}
     own = {names.get(name.casefold(), name): cells for name, cells in COLUMNS.items()}

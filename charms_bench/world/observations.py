@@ -106,8 +106,8 @@ class Neighbours(FrozenModel):
             observations[:, ACTION_MASK] = action_masks(scene, vehicles)
         return observations
 
-    def _fill(self, scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
-        _fill(scene, rows, places, observations)
+    def _fill(self, scene: Scene, *others: Any) -> None:
+        _fill(scene, *others)
 
 
 class PaperNeighbours(Neighbours):
@@ -115,19 +115,17 @@ class PaperNeighbours(Neighbours):
 
     name: ClassVar[str] = "paper_neighbours"
 
-    def _fill(self, scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
-        _fill_as_in_the_paper(scene, rows, places, observations)
+    def _fill(self, scene: Scene, *others: Any) -> None:
+        _fill_as_in_the_paper(scene, *others)
 
 
 neighbours = Neighbours()
 paper_neighbours = PaperNeighbours()
 
 NamedObservation = Neighbours | Kinematics | Interaction | HighwayEnv
-_KINDS: tuple[type[NamedObservation], ...] = (
-    *(Neighbours, PaperNeighbours),
-    *(Kinematics, Interaction, HighwayEnv),
-)
-OBSERVATIONS = {kind.name: kind for kind in _KINDS}
+OBSERVATIONS: dict[str, type[NamedObservation]] = {
+    kind.name: kind for kind in (Neighbours, PaperNeighbours, Kinematics, Interaction, HighwayEnv)
+}
 """The observations that have a name."""
 
 
@@ -173,11 +171,7 @@ def described(observation: NamedObservation) -> str:
 
 
 def observation_described(text: str) -> NamedObservation:
-    """The observation that a text from `described` describes.
-
-    Raises:
-        InputError: The text describes no known observation.
-    """
+    """The observation that a text from `described` describes; else an `InputError`."""
     if not text.startswith("{"):
         return named_observation(text.partition(":")[0])
     try:
@@ -258,10 +252,8 @@ def _write_neighbour(b: int, i: int, j: int, scene: Scene, row: Observations) ->
     """Writes the row of vehicle j, relative to vehicle i."""
     x, y, speed = scene.x, scene.y, scene.speed
     vx, vy = speed[b, i] * scene.direction_x[b, i], speed[b, i] * scene.direction_y[b, i]
-    other_vx, other_vy = (
-        speed[b, j] * scene.direction_x[b, j],
-        speed[b, j] * scene.direction_y[b, j],
-    )
+    other_vx = speed[b, j] * scene.direction_x[b, j]
+    other_vy = speed[b, j] * scene.direction_y[b, j]
     row[0] = 1.0
     row[1] = clip((x[b, j] - x[b, i]) / X_SCALE_M, -1.0, 1.0)
     row[2] = clip((y[b, j] - y[b, i]) / Y_SCALE_M, -1.0, 1.0)

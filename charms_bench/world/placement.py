@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import ScenarioError, suggestion
+from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.formula import Formula, evaluate
 from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.points import count_of, values_at
@@ -15,8 +16,12 @@ from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Sc
 from charms_bench.world.scene import SceneSettings
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
 
-Floats = NDArray[np.float64]
 Location = tuple[str | int, ...]
+
+
+def place_of(i: int) -> Location:
+    """Where vehicle i is in a scenario."""
+    return ("vehicles", i - 1) if i else (EGO,)
 
 
 class Placement(NamedTuple):
@@ -59,10 +64,8 @@ def place(
 ) -> Placement:
     """Returns the concrete scenarios of the points (R,) with these numbers.
 
-    `kind` places the vehicles; by default, on the straight road.
-
-    Raises:
-        ScenarioError: A formula is wrong, or a point has an impossible placement.
+    `kind` places the vehicles; by default, on the straight road. Raises a `ScenarioError` if a
+    formula is wrong, or a point has an impossible placement.
     """
     _check_points(scenario, numbers)
     values = values_at(scenario, numbers)
@@ -78,15 +81,8 @@ def driver_parameters(
 ) -> dict[str, Floats]:
     """Returns the parameters (R,) that a scenario gives to the driver of its vehicle k, by name.
 
-    Args:
-        scenario: The scenario.
-        k: The vehicle's index in the scenario.
-        settings: The settings of the scene.
-        ranges: The parameters that the vehicle's agent has, and their ranges.
-        numbers: (R,) the numbers of the points.
-
-    Raises:
-        ScenarioError: The agent has no such parameter, or the value is out of its range.
+    `ranges` are those of the parameters that its agent has. Raises a `ScenarioError` if it has no
+    such parameter, or the value at one of the points `numbers` (R,) is out of the range.
     """
     vehicle, values = scenario.vehicles[k], values_at(scenario, numbers)
     placing, given = Placing(scenario, settings, values, numbers.size), {}
@@ -125,11 +121,7 @@ class Placing:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        settings: SceneSettings,
-        values: Mapping[str, Floats],
-        count: int,
+        self, scenario: Scenario, settings: SceneSettings, values: Mapping[str, Floats], count: int
     ) -> None:
         self._scenario, self._values, self._count = scenario, values, count
         self._starts: tuple[EgoStart | PlacedVehicle, ...] = (scenario.ego, *scenario.vehicles)
@@ -156,7 +148,7 @@ class Placing:
         )
         names: dict[str, int] = {}
         for i, vehicle in enumerate(self._starts):
-            at: Location = ("vehicles", i - 1) if i else (EGO,)
+            at = place_of(i)
             name = vehicles[i - 1].name if i else EGO
             if name in names:
                 raise ScenarioError((*at, "name"), f"'{name}' is already a vehicle")
@@ -265,11 +257,9 @@ class Placing:
         lane = self._value(at, formula)
         is_wrong = ~((lane == np.floor(lane)) & (lane >= 0) & (lane <= last))
         most = last[is_wrong.argmax()]
-        expected = (
-            f"expected a whole number from 0 to {most}" if most else "expected 0, its only lane"
-        )
+        expected = f"a whole number from 0 to {most}" if most else "0, its only lane"
         named = road.replace("{", "{{").replace("}", "}}")
-        self._check(at, is_wrong, f"lane {{:g}} is not on {named}; {expected}", lane)
+        self._check(at, is_wrong, f"lane {{:g}} is not on {named}; expected {expected}", lane)
         return np.asarray(lane.astype(np.int64))
 
     def within(self, at: Location, formula: Formula, low: float, high: float) -> Floats:

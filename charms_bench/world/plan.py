@@ -1,14 +1,15 @@
 """A network of lanes from above, and where vehicles are on it, for pictures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from charms_bench.world.lane_geometry import STRAIGHT
 from charms_bench.world.road import position, width_at
 from charms_bench.world.road_network import NO_LINE, STRIPED, Network
-from charms_bench.world.scene import Bools, Floats, Ints
+from charms_bench.world.scene import Bools, Floats
+from charms_bench.world.tracks import Bodies
 
 STEP_M = 2.0
 """About how far apart the points of a line are."""
@@ -54,32 +55,17 @@ def lines_of(road: Network) -> Lines:
     return Lines(tuple(surfaces), tuple(continuous), tuple(striped))
 
 
-OF_VEHICLES = (
-    *("present", "x", "y", "heading", "length", "width"),
-    *("speed", "acceleration", "lane", "target_lane", "crashed"),
-)
+OF_VEHICLES = tuple(each.name for each in fields(Bodies))
 """What a plan has of each vehicle."""
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """N vehicles on a network, [..., N]; x and y are those of the network."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Plan(Bodies):
+    """N vehicles on a network: x and y are the network's, and lanes are indices of its lanes."""
 
     road: Network
     lines: Lines
-    present: Bools
     is_obstacle: Bools
-    x: Floats
-    y: Floats
-    heading: Floats
-    length: Floats
-    width: Floats
-    speed: Floats
-    acceleration: Floats
-    lane: Ints
-    """As an index of the road's lanes, as `target_lane`."""
-    target_lane: Ints
-    crashed: Bools
 
     def at(self, frame: int) -> "Plan":
         """The plan at one moment of several."""
@@ -91,4 +77,4 @@ def plan_over_time(plans: Sequence[Plan]) -> Plan:
     """The plan of all moments, from the plan of each."""
     names = ("is_obstacle", *OF_VEHICLES)
     stacked = {name: np.stack([getattr(plan, name) for plan in plans]) for name in names}
-    return Plan(plans[0].road, plans[0].lines, **stacked)
+    return Plan(road=plans[0].road, lines=plans[0].lines, **stacked)

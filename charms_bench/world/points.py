@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.foundation.arrays import Floats
 from charms_bench.world.scenario import LatinHypercube, Parameter, Scenario
 
-Floats = NDArray[np.float64]
 DECIMALS = 6
 """Values are rounded, so that the last bits of a distribution's function do not matter."""
 SOBOL_POINTS = 2**30

@@ -65,11 +65,7 @@ def _in_tables(paths: Sequence[Path], place: Path) -> list[Trio]:
 
 
 def read_folder(folder: Path) -> Iterator[Recording]:
-    """The recordings of a folder, one at a time.
-
-    Raises:
-        DataError: As for `find_trios` and `read_recording`.
-    """
+    """The recordings of a folder, one at a time."""
     return map(read_recording, find_trios(folder))
 
 

@@ -148,14 +148,9 @@ def first_nearest(y: float, lanes: int, lane_width: float) -> int:
 def next_lane(road: Any, lane: Any, next_road: Any, next_id: Any, x: Any, y: Any) -> Any:
     """The lane after a lane's end, or the lane itself if none follows [`RoadNetwork.next_lane`].
 
-    Args:
-        road: The road.
-        lane: The present lane.
-        next_road: The first lane of the next road on the vehicle's route; -1 without a route, for
-            which the nearest lane is chosen.
-        next_id: The lane's number on that road; -1 if the route does not say.
-        x: The vehicle's position.
-        y: The same.
+    `next_road` is the first lane of the next road on the vehicle's route, -1 without a route, for
+    which the lane nearest to x, y is chosen; `next_id` is the lane's number on that road, -1 if the
+    route does not say.
     """
     return lane
 

@@ -146,6 +146,12 @@ def network_of(lanes: Iterable[tuple[str, str, Lane]]) -> Network:
     return Network(table, np.concatenate(curves), np.array(successors, dtype=np.int64))
 
 
+def roads_after(road: Network, lane: int) -> list[int]:
+    """The first lanes of the roads that start where a lane ends."""
+    row = road.lanes[lane]
+    return [int(each) for each in road.successors[row["next_roads"] :][: row["next_count"]]]
+
+
 def _describe(row: Any, lane: Lane) -> None:
     """Fills the row of a lane but for what depends on other lanes or on a polyline."""
     row["line_left"], row["line_right"] = lane.line_types
@@ -304,6 +310,16 @@ def _lane_of_next_road(
         if length < shortest:
             best, shortest = candidate, length
     return best
+
+
+@register_jitable
+def leads_to(road: Network, lane: int, following: int) -> bool:
+    """Whether the road with the first lane `following` starts where a lane ends."""
+    row = road.lanes[lane]
+    for k in range(row.next_roads, row.next_roads + row.next_count):
+        if road.successors[k] == following:
+            return True
+    return False
 
 
 @register_jitable

@@ -8,14 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from charms_bench.foundation.fields import (
-    UNLESS_EMPTY,
-    Finite,
-    FrozenModel,
-    Line,
-    Name,
-    Positive,
-)
+from charms_bench.foundation.fields import UNLESS_EMPTY, Finite, FrozenModel, Line, Name, Positive
 from charms_bench.foundation.formula import Formula
 
 EGO = "ego"

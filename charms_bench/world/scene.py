@@ -267,9 +267,8 @@ class SceneSettings(FrozenModel):
         length, width = self.profile.vehicle_length_m, self.profile.vehicle_width_m
         own: list[tuple[float, float]] = []
         for each in self.vehicle_types:
-            own += zip(
-                range_of(each.length_m or length), range_of(each.width_m or width), strict=True
-            )
+            sizes = range_of(each.length_m or length), range_of(each.width_m or width)
+            own += zip(*sizes, strict=True)
         bounds = zip(LENGTHS_M, WIDTHS_M, strict=True)
         has_bounds = self.scenario is not None and self.scenario.has_sizes
         has_bounds |= self.is_recorded

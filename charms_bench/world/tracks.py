@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from charms_bench.world.scene import Bools, Floats, Ints
 
 
-@dataclass(frozen=True, kw_only=True)
-class Motion:
-    """What N vehicles do, [..., N]; units are as in `scene.Scene`."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Bodies:
+    """Where N vehicles are and how they move, [..., N]; units are as in `scene.Scene`."""
 
     present: Bools
     """Other values of a vehicle that is not there mean nothing."""
@@ -21,6 +21,12 @@ class Motion:
     lane: Ints
     target_lane: Ints
     crashed: Bools
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion(Bodies):
+    """What N vehicles do."""
+
     action: Ints
     """The last meta-action, only meaningful where `has_action` is true."""
     has_action: Bools

@@ -7,7 +7,7 @@ from charms_baselines.stackelberg import Stackelberg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from charms_bench.engine import MakeEngine
+from charms_bench.engine import Cast, MakeEngine
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.draws import LANE, SPEED, ReplayedDraws, draws_of
 from charms_bench.foundation.generator import seeded
@@ -22,7 +22,7 @@ SEEDS = np.arange(40, dtype=np.uint64)
 def spawned(
     engine: MakeEngine, scene: SceneSettings, seeds: np.ndarray, draws: np.ndarray | None = None
 ) -> Scene:
-    made = engine(scene, seeds.size, MODELS)
+    made = engine(scene, seeds.size, Cast(MODELS))
     rows, agents = np.arange(seeds.size), np.minimum(np.arange(scene.vehicles), 1)
     made.reset(rows, seeds, np.tile(agents, (seeds.size, 1)), draws)
     return made.scene

@@ -124,9 +124,9 @@ def test_in_a_roundabout_the_ego_enters_the_ring_ahead_of_a_vehicle_in_it() -> N
     entries.note(scenes, rows)
     ring, before = (episodes.task.lanes[*road, 1] for road in (("se", "ex"), ("sx", "se")))
     put = getattr(put_on_lane, "py_func", put_on_lane)
-    put(scenes, 0, 0, IDM, ring, 2.0, float(scenes.road.lanes["heading"][ring]), 8.0)
+    put(scenes, 0, 0, IDM, ring, 2.0, 8.0)
     length = float(scenes.road.lanes["length"][before])
-    put(scenes, 0, 1, IDM, before, length - 10.0, 0.0, 8.0)
+    put(scenes, 0, 1, IDM, before, length - 10.0, 8.0)
     for i, lane in enumerate((ring, before)):
         scenes.vehicles["lane"][0, i] = lane
     entries.note(scenes, rows)

@@ -64,7 +64,7 @@ def test_a_long_vehicle_stops_as_far_from_a_long_one_as_cars_do() -> None:
         scenes.constants["mixed_sizes"] = True
         scenes.vehicles["kind"] = 0
         for i, (s, speed) in enumerate(((200.0, 0.0), (60.0, 10.0))):
-            put_on_lane(scenes, 0, i, IDM, 0, s, 0.0, speed)
+            put_on_lane(scenes, 0, i, IDM, 0, s, speed)
             scenes.vehicles["length"][0, i] = length
             scenes.vehicles["target_speed"][0, i] = speed
             scenes.vehicles["changes_lanes"][0, i] = False

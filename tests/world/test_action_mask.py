@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import given
 from scenes import all_vehicles, scene_of, scenes
 
+from charms_bench.engine import Cast
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.world.action_mask import action_masks
 from charms_bench.world.actions import IDLE, LANE_LEFT, LANE_RIGHT
@@ -39,7 +40,7 @@ def target_lanes(profile: str, scene: Scene, action: int) -> np.ndarray:
     settings = SceneSettings(
         profile=profile, lanes=lanes, traffic_vehicles=vehicles - 1, ego_slots=1
     )
-    engine = BatchedEngine(settings, 1, {})
+    engine = BatchedEngine(settings, 1, Cast())
     for name in ("x", "y", "speed", "lane", "target_lane"):
         getattr(engine.scene, name)[:] = getattr(scene, name)
     engine.command(all_vehicles(scene), np.full(vehicles, action))

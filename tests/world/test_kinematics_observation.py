@@ -12,6 +12,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scenes import all_vehicles, scene_of
 
+from charms_bench.engine import Cast
 from charms_bench.errors import InputError
 from charms_bench.testing.reference_engine import HighwayEnvEngine
 from charms_bench.world.actions import ACTIONS
@@ -24,7 +25,7 @@ from charms_bench.world.scene import SceneSettings
 def engine_after(seconds: int, seed: int, profile: str, **settings: Any) -> HighwayEnvEngine:
     """highway-env's road after an ego has driven as it liked."""
     given = SceneSettings(profile=PROFILES[profile], **settings)
-    engine = HighwayEnvEngine(given, 1, {1: IdmMobil()})
+    engine = HighwayEnvEngine(given, 1, Cast({1: IdmMobil()}))
     agents = np.minimum(np.arange(given.vehicles), 1)[None]
     engine.reset(np.array([0]), np.array([seed], dtype=np.uint64), agents)
     rng = np.random.default_rng(seed)

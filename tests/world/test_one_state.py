@@ -22,9 +22,8 @@ REASONS = {
     "episodes/replay.py: TRAJECTORY_SCHEMA": "the rows of a replay",
     "world/moments.py: Tracks": "recorded vehicles",
     "maps/commonroad_scene.py: Problem": "a vehicle that a file describes without a recording",
-    "world/tracks.py: Motion": "what a replay keeps of all moments",
+    "world/tracks.py: Bodies": "what a replay keeps of all moments, and what a picture shows",
     "testing/map_parity.py: vehicle": "highway-env's vehicle that is compared",
-    "world/plan.py: Plan": "what a picture of a network shows",
 }
 
 
