@@ -20,7 +20,7 @@ from charms_bench.world.scene import Floats, SceneSettings
 RING_VEHICLES = 100
 SMALL_M, LARGE_M = 1e-3, 5.0
 """Displacements: one whose wave stays linear, and one whose wave becomes as large as it can."""
-NO_LANE_CHANGES = {"lane_change_gain_mps2": 1e6}
+NO_LANE_CHANGES = {"lane_change_gain_mps2": 1e3}
 
 
 def exponent(p: IdmMobilConstants) -> float:

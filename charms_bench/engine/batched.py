@@ -30,9 +30,9 @@ class BatchedEngine(Engine):
         }
         models = list(cast.models)
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), models)
-        marks = np.zeros((5, *self.drivers.shape), dtype=np.bool_)
-        self._is_modelled, self._is_ego, self._nobody = marks[:3]
-        self._is_continuous, self._is_prescribed = marks[3:]
+        marks = (np.zeros(self.drivers.shape, dtype=np.bool_) for _ in range(5))
+        self._is_modelled, self._is_ego, self._nobody = next(marks), next(marks), next(marks)
+        self._is_continuous, self._is_prescribed = marks
         self._vehicles: dict[tuple[int, bool], Vehicles] = {}
         """The active vehicles that each driver model drives, and those of them that are not egos;
         listed for the active scenes `_listed`."""
