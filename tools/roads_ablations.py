@@ -18,7 +18,7 @@ import plan_roads as plan
 import polars as pl
 import yaml
 from plan_roads import SEED
-from plan_roads_tables import ROUGH, percentage
+from plan_roads_tables import LIMITS, ROUGH, percentage
 from plan_roads_values import mean_of, values_of
 from result_pages import RESULTS, ROOT, keep, refill
 
@@ -143,7 +143,10 @@ def trained(folder: Path) -> pl.DataFrame:
 def differences(values: pl.DataFrame) -> str:
     """What each variant does, and its difference from CHARMS, paired by seed, in %."""
     records = []
-    for (road, ego), row in values.group_by("road", "ego", maintain_order=True):
+    order = {name: k for k, name in enumerate((*VARIANTS, *BASELINES, PRIOR))}
+    roads = {name: k for k, name in enumerate(LIMITS)}
+    place = pl.col("road").replace_strict(roads), pl.col("ego").replace_strict(order)
+    for (road, ego), row in values.sort(*place).group_by("road", "ego", maintain_order=True):
         complete = values.filter(road=road, ego=COMPLETE).sort("seed")
         record = {"road": road, "variant": ego}
         for name, header in QUANTITIES.items():
@@ -163,10 +166,10 @@ def tables(folder: Path) -> None:
     rough = pl.selectors.float().round_sig_figs(4)
     found = values_of(folder, "ablations").drop("test", "traffic")
     driven = found.with_columns(rough).with_columns(ROUGH)
+    every = driven.pivot("road", index=["ego", "seed"], values=[*QUANTITIES, "time_s"])
     networks = trained(folder).rename({"variant": "ego"})
-    every = driven.join(networks, on=["ego", "seed"], how="left").sort("road", "ego", "seed")
-    left_out = ["conflicts", "wrecks", "imposed_mps2"]
-    every.drop(left_out).write_csv(RESULTS / "plan-roads-ablations.csv")
+    every = every.join(networks, on=["ego", "seed"], how="left").sort("ego", "seed")
+    every.write_csv(RESULTS / "plan-roads-ablations.csv")
     keep("plan-roads-ablations", differences(driven))
     refill(ROOT / "docs" / "training-plan-roads.md")
 
