@@ -359,6 +359,7 @@ class _Served:
     is_stopped: bool = False
 
 
+_TASKS_PER_COLLECTION = 16
 _served: list[_Served] = []
 """Only in a worker."""
 
@@ -397,6 +398,7 @@ def _serve(connection: Connection, module: str) -> None:
     os.register_at_fork(after_in_child=connection.close)
     import_module(module)
     work: Callable[[Any], Any] | None = None
+    answered = itertools.count(1)
     with suppress(EOFError, OSError):  # the parent has closed the connection
         while True:
             received = connection.recv()
@@ -412,10 +414,9 @@ def _serve(connection: Connection, module: str) -> None:
                 os._exit(0)  # a copy of this process, made by a plugin
             connection.send((number, True, answer))
             # What tasks leave in cycles, such as a simulation, can be large, and has few objects.
-            if gc.get_freeze_count():
+            if next(answered) % _TASKS_PER_COLLECTION == 0:
                 gc.collect()
-            else:
-                gc.freeze()  # else each collection would look at all libraries
+                gc.freeze()  # else each collection would look at all that has been imported
 
 
 def _answer(work: Callable[[Any], Any], task: object) -> object:

@@ -141,14 +141,14 @@ class InACycle:
 
 
 def left_of(number: int, made: list[weakref.ref[InACycle]] = []) -> int:  # noqa: B006
-    """How many of the cycles that earlier tasks made, all but the first, are still there."""
-    left = sum(cycle() is not None for cycle in made[1:])
+    """How many of the cycles that earlier tasks made are still there."""
+    left = sum(cycle() is not None for cycle in made)
     made.append(weakref.ref(InACycle()))
     return left
 
 
-def test_what_a_task_leaves_in_cycles_is_gone_before_the_next_one() -> None:
-    assert [left for _, left in in_processes(left_of, range(5), 1)] == [0] * 5
+def test_what_tasks_leave_in_cycles_is_gone_some_tasks_later() -> None:
+    assert max(left for _, left in in_processes(left_of, range(40), 1)) <= 16
 
 
 def fork_in_c() -> int:
