@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from charms_agents.human.samples import Samples
 from charms_agents.human.simulated import simulated_samples
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
 from charms_agents.training.reinforcement import Reinforcement
@@ -52,8 +53,16 @@ def learner_of(suite: TrainingSuite) -> Reinforcement:
     return Reinforcement(suite, stage, drivers, None)
 
 
-def test_a_training_on_roads_continues_with_the_same_bits(tmp_path: Path) -> None:
-    suite = load_training(suite_with("intersection-v1", tmp_path))
+LATE = "{type: interaction, delay_decisions: 2}"
+
+
+@pytest.mark.parametrize("observation", ["interaction", LATE])
+def test_a_training_on_roads_continues_with_the_same_bits(tmp_path: Path, observation: str) -> None:
+    file = suite_with("intersection-v1", tmp_path)
+    file.write_text(
+        file.read_text().replace("observation: interaction", f"observation: {observation}")
+    )
+    suite = load_training(file)
     places = suite.places_of(suite.stages["level_1"])
     named = [str(scene.network) for scene, _ in places]
     assert named == ["None", "roundabout-v1", "intersection-v1"]
@@ -142,25 +151,29 @@ def test_the_goal_earns_its_reward_once_and_for_the_ego_itself() -> None:
     assert rewards == pytest.approx([0.5, 0.5 + 25.0])
 
 
-def test_drivers_on_roads_are_imitated(tmp_path: Path) -> None:
-    file = suite_with("merge-v1", tmp_path)
-    human = """
+HUMAN = """
 human:
   recordings: none
   simulated:
     agents: [idm_mobil]
     scene: {profile: {name: charms, speed_min_mps: 0.0, target_speed_min_mps: 0.0}}
     traffic: idm_mobil
-    conditions: [roads]
+    conditions: [CONDITION]
     episodes: 10
   stages: {people: {drivers: simulated}}
 """
-    file.write_text(file.read_text() + human)
+
+
+def imitated(condition: str, observation: str, folder: Path) -> Samples:
+    """What simulated drivers do."""
+    file = suite_with("merge-v1", folder)
+    text = file.read_text().replace("observation: interaction", f"observation: {observation}")
+    file.write_text(text + HUMAN.replace("CONDITION", condition))
     suite = load_training(file)
     assert suite.human is not None
     simulated = suite.human.simulated
     assert simulated is not None
-    samples = simulated_samples(
+    return simulated_samples(
         [each.make({}) for each in simulated.agents],
         suite.places_of(simulated),
         {name: make_agent(name) for name in suite.drivers_of(simulated)},
@@ -169,9 +182,32 @@ human:
         suite.observed,
         suite.actions,
     )
+
+
+def test_drivers_on_roads_are_imitated(tmp_path: Path) -> None:
+    samples = imitated("roads", "interaction", tmp_path)
     # Vehicles come from the ramp of the merge and from the other entries of the roundabout.
     assert samples.observations[:, 8, 0].any()
     assert (np.abs(samples.observations) <= 1).all()
     speeds = samples.observations[:, 0, 0] * 33
     # Drivers are slow at the roundabout and start at 30 m/s before the merge.
     assert speeds.min() < 10 < 20 < speeds.max()
+
+
+def test_imitated_drivers_see_others_late(tmp_path: Path) -> None:
+    at_once, late = (imitated("straight", each, tmp_path) for each in ("interaction", LATE))
+    # Each of 10 episodes of 9 decisions has samples of its last three.
+    shown, found = (each.observations.reshape(3, 10, 14, 8) for each in (at_once, late))
+    np.testing.assert_array_equal(found[:, :, :2], shown[:, :, :2])
+    np.testing.assert_array_equal(found[2, :, 2:], shown[0, :, 2:])
+    assert (found[2, :, 2:] != shown[2, :, 2:]).any()
+
+
+@pytest.mark.parametrize("stage", ["{}", "{drivers: simulated, fine_tunes: level_1}"])
+def test_a_delay_where_drivers_are_seen_at_once_is_rejected(tmp_path: Path, stage: str) -> None:
+    file = suite_with("merge-v1", tmp_path)
+    text = file.read_text().replace("observation: interaction", f"observation: {LATE}")
+    human = HUMAN.replace("CONDITION", "roads").replace("{drivers: simulated}", stage)
+    file.write_text(text + human)
+    with pytest.raises(SuiteError, match="delay_decisions has no meaning for stages that learn"):
+        load_training(file)

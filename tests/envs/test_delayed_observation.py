@@ -7,6 +7,7 @@ import pytest
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import ego_vector_env
+from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
@@ -70,6 +71,26 @@ def test_a_saved_state_has_what_was_seen_before(road: str | None) -> None:
         on[1:], followed(other, seen[-1], range(5, DECISIONS))[1:], strict=True
     ):
         np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("road", ["straight", "merge-v1"])
+def test_each_of_several_learners_sees_others_late(road: str) -> None:
+    seen = []
+    for delay in (0, DELAY):
+        given: dict[str, Any] = {"lanes": 3, "traffic_vehicles": 10}
+        if road != "straight":
+            given = {"road": road}
+        observation = {"type": "interaction", "delay_decisions": delay}
+        env = LearnersVectorEnv(2, learners=(0, 1), observation=observation, **given)
+        observations, rows = env.reset(seed=3)[0], []
+        for _ in range(DELAY + 2):
+            rows.append(observations)
+            observations, _, *ends, _ = env.step(np.full(len(observations), 1))  # IDLE
+            assert not np.any(ends)
+        seen.append(rows)
+    plain, delayed = seen
+    for t, shown in enumerate(delayed):
+        np.testing.assert_array_equal(shown, late(plain, t))
 
 
 class Noting(Policy):

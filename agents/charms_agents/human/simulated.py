@@ -91,6 +91,9 @@ def _driven(
         own[..., 1] = ((driven.target_speed - driven.speed[:-1]) / CHANGE_MPS).clip(-1, 1)
         own[..., 2] = (driven.repeats / REPEATS).clip(-1, 1)
         own[..., 3] = (driven.acceleration / CHANGE_MPS).clip(-1, 1)
+        before = np.zeros((observation.delay_decisions, *observed.shape[1:]), observed.dtype)
+        since = np.concatenate([before, observed]).swapaxes(0, 1)  # the start of the episodes
+        observed = observation.delayed(since).swapaxes(0, 1)
     elif isinstance(observation, Neighbours) and observation.commands:
         commands = observed[:, :, COMMANDS]
         commands[..., 0] = (driven.target_speed - driven.speed[:-1]) / CHANGE_SCALE

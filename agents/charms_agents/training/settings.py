@@ -15,6 +15,7 @@ from charms_agents.training.rewards import SVO_ANGLES_RAD, StyleReward, Svo, Wei
 from charms_bench.envs.learners import Reward
 from charms_bench.errors import InputError
 from charms_bench.foundation.fields import FilePath, FrozenModel, Line, Positive
+from charms_bench.plugins.deciding import delay_of
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.suite_roads import RoadEntry
@@ -235,6 +236,14 @@ class TrainingSuite(FrozenModel):
                 columns_of(self.actions)
             except InputError as error:
                 raise ValueError(str(error)) from error
+        sees_at_once = any(
+            stage.drivers == "recorded" or stage.fine_tunes for stage in self.human_stages.values()
+        )
+        if sees_at_once and delay_of(self.observed):
+            raise ValueError(
+                "observation: delay_decisions has no meaning for stages that learn from recordings "
+                "or fine-tune; expected human.stages with `drivers: simulated`, or no delay"
+            )
         return self
 
     def actions_in(self, scene: SceneSettings) -> tuple[MetaAction, ...]:
