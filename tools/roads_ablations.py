@@ -151,9 +151,11 @@ def differences(values: pl.DataFrame) -> str:
         record = {"road": road, "variant": ego}
         for name, header in QUANTITIES.items():
             own = row.sort("seed")[name].to_numpy()
-            record[header] = percentage(mean_of(own, 0.0, 1.0), ".1f")
-            if ego != COMPLETE:
+            if ego == COMPLETE:
+                record[header] = percentage(mean_of(own, 0.0, 1.0), ".1f")
+            else:
                 change = mean_of(own - complete[name].to_numpy())
+                record[header] = f"{100 * own.mean():.1f}"
                 record[f"{header}, difference"] = percentage(change, "+.1f")
         records.append(record)
     columns = [name for header in QUANTITIES.values() for name in (header, f"{header}, difference")]
