@@ -9,7 +9,7 @@ networks in the package only needs another call.
 
 from pathlib import Path
 
-from result_pages import ROOT, keep, refill
+from result_pages import ROOT, keep
 
 from charms_bench.people.population import read_population
 from charms_bench.report.figures.drawing import save
@@ -43,7 +43,6 @@ def write_page(data: Path) -> None:
             if (RELEASED.parent / "networks").is_dir():
                 released = likeness(load_suite(RELEASED), against)
                 write("likeness-released", [each for each in released if each.kind == "ego"])
-    refill(ROOT / "docs" / "likeness.md")
 
 
 def write(name: str, rows: list[Likeness]) -> None:

@@ -21,7 +21,7 @@ from mutant_measures import (
     resampled_means,
     taus,
 )
-from result_pages import RESULTS, ROOT, keep, refill
+from result_pages import RESULTS, ROOT, keep, table_named
 
 from charms_bench.episodes.avoidability import avoidability, collisions
 from charms_bench.episodes.criticality import COLLISION, criticality
@@ -177,8 +177,7 @@ def write(folder: Path) -> None:
     frame.write_csv(RESULTS / "mutants.csv")
     for title, counts in searched.items():
         print(title, "collisions searched, avoidable:", counts.sum(axis=0))
-    likeness = dict(TOTAL.findall((RESULTS / "likeness-i24.md").read_text(encoding="utf-8")))
+    likeness = dict(TOTAL.findall(table_named("likeness-i24")))
     whole, parts = summary(traffics, searched, ladders, likeness)
     keep("mutants", markdown(whole))
     keep("mutants-ladders", markdown(parts))
-    refill(ROOT / "docs" / "mutants.md")

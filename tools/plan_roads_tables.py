@@ -12,7 +12,7 @@ import numpy as np
 import plan_roads as plan
 import polars as pl
 from plan_roads_values import kept, mean_of, trained, values_of
-from result_pages import ROOT, keep, refill
+from result_pages import keep
 from scipy import stats
 
 from charms_bench.report.markdown import markdown
@@ -162,4 +162,3 @@ def tables(networks: Path, runs: Path) -> None:
         keep("plan-roads", outcomes(others, keys, "ego"))
         if len(styles):
             keep("plan-roads-styles", outcomes(styles, ("ego",), "road"))
-    refill(ROOT / "docs" / "training-plan-roads.md")

@@ -6,10 +6,11 @@ and to estimate its probability with the seeds 0, 1, ...:
 
     python tools/rare_comparison.py SUITE EVENT EPISODES ESTIMATES
 
-The counts are in docs/results/rare-plain.csv, and how many intervals hold them in
-docs/results/rare-intervals.md. An estimate has the default `--runs` and `--samples`, and its folder
-is `runs/rare-comparison/SUITE-EVENT-SEED`, so the same command continues. The docs say which suites
-and events were counted; a million episodes of `suites/rare.yaml` take about an hour on one core.
+The counts are in docs/results/rare-plain.csv, and how many intervals hold them in the table
+`rare-intervals` of docs/stress-tests.md. An estimate has the default `--runs` and `--samples`, and
+its folder is `runs/rare-comparison/SUITE-EVENT-SEED`, so the same command continues. The docs say
+which suites and events were counted; a million episodes of `suites/rare.yaml` take about an hour on
+one core.
 """
 
 import sys
@@ -18,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
-from result_pages import RESULTS, ROOT, keep
+from result_pages import RESULTS, ROOT, keep, table_named
 
 from charms_bench import rare
 from charms_bench.engine.events import lowest_levels
@@ -111,7 +112,7 @@ def compare(path: Path, event: str, episodes: int, estimates: int) -> None:
         print(f"seed {seed}: {made[-1]}", flush=True)
     if made:
         key = f"| {name} | `{event}` |"
-        lines = (RESULTS / "rare-intervals.md").read_text(encoding="utf-8").splitlines()
+        lines = table_named("rare-intervals").splitlines()
         kept = [line for line in lines if not line.startswith(key)]
         keep("rare-intervals", "\n".join([*kept, key + intervals(plain, made)]) + "\n")
 

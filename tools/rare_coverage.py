@@ -1,6 +1,6 @@
 """How often the intervals of `charms-bench rare` hold a probability that is known.
 
-`write_results.py rare-coverage` writes it to docs/results/rare-coverage.md, which takes about half
+`write_results.py rare-coverage` writes it to its page, which takes about half
 an hour on one core. Each repetition is a pilot and 500 independent runs; the intervals of fewer
 runs are those of the first of them. The moves treat all directions alike and the events depend on
 at most two components, so two components stand for any number of them.

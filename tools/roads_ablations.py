@@ -20,7 +20,7 @@ import yaml
 from plan_roads import SEED
 from plan_roads_tables import LIMITS, ROUGH, percentage
 from plan_roads_values import mean_of, values_of
-from result_pages import RESULTS, ROOT, keep, refill
+from result_pages import RESULTS, ROOT, keep
 
 import charms_bench
 from charms_bench.report.markdown import markdown
@@ -173,7 +173,6 @@ def tables(folder: Path) -> None:
     every = every.join(networks, on=["ego", "seed"], how="left").sort("ego", "seed")
     every.write_csv(RESULTS / "plan-roads-ablations.csv")
     keep("plan-roads-ablations", differences(driven))
-    refill(ROOT / "docs" / "training-plan-roads.md")
 
 
 if __name__ == "__main__":

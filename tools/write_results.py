@@ -8,10 +8,10 @@
     python tools/write_results.py rare-coverage
 
 RUNS holds the run folders of the suites by their names, `RUNS/ego` and so on, and that of the
-training as `RUNS/train`. Each gives a file in `docs/results`, which then replaces the text between
-`<!-- results: NAME -->` and `<!-- end of results -->` wherever that stands. What RUNS does not
-hold stays as it is. The tables of docs/reproduction.md compare `RUNS/released-ego` with `RUNS/ego`,
-and so on. CSV files beside them hold the numbers of long tables. `RUNS/rare` is what
+training as `RUNS/train`. Each gives tables, which replace the text between `<!-- results: NAME -->`
+and `<!-- end of results -->` wherever that stands. What RUNS does not hold stays as it is. The
+tables of docs/reproduction.md compare `RUNS/released-ego` with `RUNS/ego`, and so on. CSV files in
+`docs/results` hold the numbers of long tables. `RUNS/rare` is what
 `charms-bench rare suites/rare.yaml --output RUNS/rare` made, and `rare_comparison` names others.
 
 The other commands write tables of other pages; the modules that they are from say of what.
@@ -30,7 +30,7 @@ import roads_ablations
 import run_results as of_runs
 import suite_results as of_suites
 from rare_comparison import rare_comparison, rare_estimate
-from result_pages import ROOT, keep, refill
+from result_pages import keep
 from transfer import transfer
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
@@ -68,9 +68,7 @@ def suites(runs: Path) -> None:
         if text:
             keep(name, text)
         found = "from" if text else "as it was, nothing in"
-        print(f"docs/results/{name}.md: {found} {runs / folder}")
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
-        refill(page)
+        print(f"{name}: {found} {runs / folder}")
 
 
 COMMANDS: dict[str, Callable[..., None]] = {
