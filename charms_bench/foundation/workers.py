@@ -414,8 +414,10 @@ def _serve(connection: Connection, module: str) -> None:
                 os._exit(0)  # a copy of this process, made by a plugin
             connection.send((number, True, answer))
             # What tasks leave in cycles, such as a simulation, can be large, and has few objects.
-            if next(answered) % _TASKS_PER_COLLECTION == 0:
+            count = next(answered)
+            if count % _TASKS_PER_COLLECTION == 0:
                 gc.collect()
+            if count == 1 or count % _TASKS_PER_COLLECTION == 0:
                 gc.freeze()  # else each collection would look at all that has been imported
 
 

@@ -141,8 +141,8 @@ class InACycle:
 
 
 def left_of(number: int, made: list[weakref.ref[InACycle]] = []) -> int:  # noqa: B006
-    """How many of the cycles that earlier tasks made are still there."""
-    left = sum(cycle() is not None for cycle in made)
+    """How many of the cycles that earlier tasks made, all but the first, are still there."""
+    left = sum(cycle() is not None for cycle in made[1:])
     made.append(weakref.ref(InACycle()))
     return left
 
