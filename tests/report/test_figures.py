@@ -90,6 +90,18 @@ def test_crashes_at_fault_are_hollow_points_below_all_crashes() -> None:
     assert [tuple(*line.get_xydata()) for line in hollow] == [(25.0, 0.1)]
 
 
+def test_a_long_list_of_names_is_beside_the_points_and_above_the_legend() -> None:
+    names = [(f"ego {k}", traffic) for k in range(40) for traffic in ("calm", "busy")]
+    figure = draw_tradeoff(cells(*names), OF_EGOS)
+    (axes,) = figure.axes
+    (listed,) = (text for text in axes.texts if "ego 39" in text.get_text())
+    box, legend = listed.get_window_extent(), axes.get_legend()
+    assert legend is not None
+    assert figure.bbox.contains(box.x0, box.y0)
+    assert box.y0 > legend.get_window_extent().y1
+    assert axes.get_window_extent().height > 0.7 * figure.bbox.height
+
+
 def test_drivers_at_the_same_place_keep_their_names_apart(tmp_path: Path) -> None:
     same = [(name, "calm", m, 0.01) for name in "AB" for m in ("speed_mean", "crashed_episodes")]
     save(draw_tradeoff(table(*same), OF_EGOS), tmp_path / "t.svg")

@@ -88,8 +88,10 @@ def draw_tradeoff(
             parts.setdefault(group, []).extend((x.value, v) for v in found_parts if v is not None)
     names = list(dict.fromkeys(_labels(row)[tradeoff.named] for row in table.rows))
     is_numbered = is_narrow or len(groups) > 1
-    below = 0.2 * (len(names) + len(groups)) if is_narrow else 0.0
-    figure, (axes,) = panels(1, size[0], size[1] + below)
+    lines = 0.2 * (len(names) + len(groups))
+    beside = lines + 1.0 if is_numbered else 0.0
+    height = size[1] + lines if is_narrow else max(size[1], beside)
+    figure, (axes,) = panels(1, size[0], height)
     texts: list[Annotation] = []
     for index, (group, found) in enumerate(groups.items()):
         across, up = ([numbers[i] for _, *numbers in found] for i in (0, 1))
