@@ -15,9 +15,9 @@ from charms_bench.roads.locating import forget, locate
 from charms_bench.roads.looking_ahead import look_ahead
 from charms_bench.roads.right_of_way import enforce
 from charms_bench.roads.safe_gap import is_safe
-from charms_bench.roads.scenes import Here, Row, Scenes, here_of, lane_of, vehicle_of
+from charms_bench.roads.scenes import Here, Row, Scenes, here_of, lane_of, vehicle_of, way_of
 from charms_bench.roads.stepping import collide, move_all
-from charms_bench.roads.straightened import Ways, find_way, straighten
+from charms_bench.roads.straightened import find_way, has_left_way, straighten
 from charms_bench.world.scene import Scene
 
 BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS, BY_CONFIGURATION = range(5)
@@ -26,20 +26,19 @@ continuous actions, or actions that highway-env's environment carries out."""
 
 
 @compiled_of_scenes
-def show(scenes: Scenes, shown: Any, ways: Any, rows: Ints) -> None:
+def show(scenes: Scenes, shown: Any, rows: Ints) -> None:
     """Straightens the scenes `rows` as their egos see them."""
-    known = ways.scene
     for b in rows:
         here = here_of(scenes, b)
         for i in range(here.places):
             forget(here, i)
-        straighten(scenes, here, known, b, 0, shown.scene, b)
+        straighten(scenes.road, here, 0, shown.scene, b)
 
 
 @compiled_of_scenes
-def show_each(scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, places: Ints) -> None:
+def show_each(scenes: Scenes, shown: Any, views: Any, rows: Ints, places: Ints) -> None:
     """Straightens scenes as each of M vehicles sees them."""
-    scene, view, known, last = shown.scene, views.scene, ways.scene, -1
+    scene, view, last = shown.scene, views.scene, -1
     for m in range(rows.size):
         b, v = rows[m], rows[m] * scene.x.shape[1] + places[m]
         here = here_of(scenes, b)
@@ -53,32 +52,32 @@ def show_each(scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, pla
                 view.parameters[v, i, k] = scene.parameters[b, i, k]
             for k in range(scene.memory.shape[2]):
                 view.memory[v, i, k] = scene.memory[b, i, k]
-        straighten(scenes, here, known, b, places[m], view, v)
+        straighten(scenes.road, here, places[m], view, v)
         last = b
 
 
 @compiled_of_scenes
-def carry_out(scenes: Scenes, shown: Any, views: Any, ways: Any, rows: Ints, places: Ints) -> None:
+def carry_out(scenes: Scenes, shown: Any, views: Any, rows: Ints, places: Ints) -> None:
     """Has M vehicles do what their views say."""
-    scene, view, known, last = shown.scene, views.scene, ways.scene, -1
+    scene, view, last = shown.scene, views.scene, -1
     for m in range(rows.size):
         b, i, v = rows[m], places[m], rows[m] * scene.x.shape[1] + places[m]
         here = here_of(scenes, b)
         for j in range(here.places if b != last else 0):
             forget(here, j)
-        take(here, known, b, i, view, v)
+        take(here, i, view, v)
         last = b
 
 
 @compiled
-def take(here: Here, ways: Ways, b: int, i: int, scene: Scene, v: int) -> None:
-    """Has vehicle i of scene b want what scene v says, in which the agent sees it.
+def take(here: Here, i: int, scene: Scene, v: int) -> None:
+    """Has vehicle i want what scene v says, in which the agent sees it.
 
     Where the route decides the lane, the agent does not.
     """
     vehicle = vehicle_of(here, i)
     vehicle.target_speed, vehicle.timer_s = scene.target_speed[v, i], scene.timer_s[v, i]
-    if decides_lane(here, vehicle) or scene.target_lane[v, i] == ways.targets[b, i]:
+    if decides_lane(here, vehicle) or scene.target_lane[v, i] == way_of(here, i).targets:
         return
     row = lane_of(here, vehicle.lane)
     lane = row.first + scene.target_lane[v, i]
@@ -101,7 +100,6 @@ def advance(
     scenes: Scenes,
     shown: Any,
     views: Any,
-    ways: Any,
     rows: Ints,
     told: Bools,
     kinds: Ints,
@@ -116,7 +114,6 @@ def advance(
     """
     profile = shown.scene.constants
     can_reverse = profile.can_reverse and profile.speed_min < 0.0
-    known = ways.scene
     for r in range(rows.size):
         b, scene = rows[r], shown.scene
         here = here_of(scenes, b)
@@ -126,7 +123,7 @@ def advance(
         acceleration, steering = ego.acceleration, ego.steering
         if told[r] and kinds[b, 0] != BY_CONFIGURATION:
             acceleration, steering = scene.acceleration[b, 0], scene.steering[b, 0]
-            take(here, known, b, 0, scene, b)
+            take(here, 0, scene, b)
         for i in range(here.places):
             as_there = kinds[b, i] in (BY_ENVIRONMENT, BY_CONFIGURATION)
             if not as_there and decides_lane(here, vehicle_of(here, i)):
@@ -158,7 +155,8 @@ def advance(
                 vehicle.acceleration -= vehicle.speed / here.constants.dt
                 vehicle.speed = 0.0
             vehicle.timer_s += here.constants.dt
-            find_way(scenes, b, i, known)
+            if has_left_way(here, i):
+                find_way(scenes.road, here, i)
         collide(here)
 
 

@@ -47,6 +47,7 @@ from charms_bench.roads.inflow import RoadInflow
 from charms_bench.roads.interaction import RoadJunctions
 from charms_bench.roads.packed_arrays import check_values, pack, unpack, width_of
 from charms_bench.roads.scenes import (
+    BEHIND,
     COMMANDED,
     CONTINUOUS,
     KINDS,
@@ -54,13 +55,13 @@ from charms_bench.roads.scenes import (
     OBSTACLE,
     ROUTE_STEPS,
     VEHICLE,
+    WAY,
     list_all_by_place,
     tidy_all,
 )
 from charms_bench.roads.scripts import RoadScript
 from charms_bench.roads.settings import ONLY_EGOS, profiles_of, room_on
 from charms_bench.roads.sizes import set_types
-from charms_bench.roads.straightened import BEHIND, Ways
 from charms_bench.roads.views import RoadViews
 from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, controls_of
 from charms_bench.world.plan import Lines, Plan, lines_of
@@ -118,7 +119,6 @@ class RoadEngine(Engine):
         self.measures = {"at_fault_on_road": self._fault.at_fault, **self._entries.measures}
         self._kinds = np.zeros(shape, dtype=np.int64)
         """[B, N] what drives each vehicle."""
-        self._ways = Ways.empty(*shape)
         if self._script is not None:  # prescribed vehicles are put where they are to be
             self._followers, self._prescribed = self._prescribed, []
         profiles, default = profiles_of(settings), {-1: DEFAULT_ACTIONS}
@@ -142,7 +142,7 @@ class RoadEngine(Engine):
     def _show(self, rows: Ints) -> None:
         """Straightens the scenes `rows` (R,) as their egos see them."""
         if rows.size:
-            show(self.episodes.scenes, self._seen.unpacked, self._ways.unpacked, rows)
+            show(self.episodes.scenes, self._seen.unpacked, rows)
             self._moved[rows] = False
 
     @cached_property
@@ -164,7 +164,7 @@ class RoadEngine(Engine):
         return self._views.read_only().at(self._junctions(self._seen.x.shape[1]))
 
     def _junctions(self, views: int) -> RoadJunctions:
-        return RoadJunctions(self.episodes, self._ways, views, self.drivers, self.configured)
+        return RoadJunctions(self.episodes, views, self.drivers, self.configured)
 
     def __getstate__(self) -> dict[str, Any]:
         own = super().__getstate__()
@@ -204,7 +204,7 @@ class RoadEngine(Engine):
         scene.ego[rows], scene.active[rows], self.drivers[rows] = 0, True, agents
         scene.temperament[rows] = 0.5
         self.goals[rows] = False
-        self._ways.lanes[rows] = -1
+        episodes.scenes.ways["lanes"][rows] = -1
         self._seat(rows)
         if self.moments is not None:
             at_speed = kinds[rows] == BY_TARGETS
@@ -247,7 +247,7 @@ class RoadEngine(Engine):
         self.episodes.scenes.generator[rows] = given
 
     def renew(self, rows: Ints, agents: Ints, times_s: Floats) -> Vehicles:
-        scenes, ways = self.episodes.scenes, self._ways
+        scenes = self.episodes.scenes
         table = scenes.vehicles
         for k, egos in self.configured.items():
             egos.keep(rows[self.drivers[rows, 0] == k])
@@ -278,7 +278,7 @@ class RoadEngine(Engine):
         self._moved[changed] = True
         gone, left = np.nonzero(was_there & ~is_there)
         for b, i in zip(np.append(rows[gone], entered[0]), np.append(left, places), strict=True):
-            ways.lanes[b, i] = -1
+            scenes.ways["lanes"][b, i] = -1
         for each in zip(*entered, strict=True):
             self._aim(each)
         self._fault.forget(scenes, entered)
@@ -340,7 +340,7 @@ class RoadEngine(Engine):
         self._seat(rows)
         self._moved[rows] = True
         some, places = np.nonzero(has_left | has_entered)
-        self._ways.lanes[rows[some], places] = -1
+        scenes.ways["lanes"][rows[some], places] = -1
         some, places = np.nonzero(present & (self._kinds[rows] != was_driven))
         for each in zip(rows[some], places, strict=True):
             self._aim(each)
@@ -426,7 +426,7 @@ class RoadEngine(Engine):
             "entries": self._entries.table,
             "goals": self.goals,
             "entered": entered,
-            **{f"{name} of ways": array for name, array in self._ways._asdict().items()},
+            **{f"{name} of ways": scenes.ways[name] for name in WAY.names or ()},
         }
 
     def plan(self, row: int) -> Plan:
@@ -446,7 +446,7 @@ class RoadEngine(Engine):
             self._show(np.nonzero(self._moved)[0])
             return self._shown, vehicles
         scenes, views = self.episodes.scenes, self._views
-        known = self._seen.unpacked, views.unpacked, self._ways.unpacked
+        known = self._seen.unpacked, views.unpacked
         show_each(scenes, *known, rows, places)
         return self._shown_views, (self._views_of(vehicles), places)
 
@@ -495,7 +495,7 @@ class RoadEngine(Engine):
     def _carry_out(self, vehicles: Vehicles) -> None:
         """Has M vehicles of the traffic do what their views say."""
         scenes, views = self.episodes.scenes, self._views
-        known = self._seen.unpacked, views.unpacked, self._ways.unpacked
+        known = self._seen.unpacked, views.unpacked
         carry_out(scenes, *known, *vehicles)
 
     def advance(self, hold_egos: bool = False, before_move: BeforeMove | None = None) -> None:
@@ -518,7 +518,7 @@ class RoadEngine(Engine):
         if self._script is not None:
             follows = _are(self.drivers, self._followers) & self._present
             put = self._script.put(self.episodes.scenes, rows, follows)
-        known = scene.unpacked, self._views.unpacked, self._ways.unpacked
+        known = scene.unpacked, self._views.unpacked
         advance(self.episodes.scenes, *known, rows, ~self._moved[rows], self._kinds, put)
         self._moved[rows] = True
         self.episodes.scenes.time[rows] += 1 / self._settings.simulation_hz
@@ -529,15 +529,16 @@ class RoadEngine(Engine):
         self._entries.note(self.episodes.scenes, rows)
         self._fault.note(self.episodes.scenes, rows)
         if self.has_goal:
-            task, before = self.episodes.task, self._ways.lanes[:, 0, BEHIND - 1]
+            task, before = self.episodes.task, self.episodes.scenes.ways["lanes"][:, 0, BEHIND - 1]
             self.goals[rows] = task.has_reached_goal(self.episodes.scenes, before)[rows]
 
     def _drive(self, model: DriverModel, vehicles: Vehicles) -> None:
         """Has a driver model answer for M vehicles of one role."""
         shown, seats = self.seen_by(vehicles)
-        ways, is_traffic = self._ways, shown is self._shown_views and bool(seats[1][0])
+        ways = self.episodes.scenes.ways
+        is_traffic = shown is self._shown_views and bool(seats[1][0])
         scene = self._views if is_traffic else self.scene
-        kinds = np.stack((ways.open_lanes[vehicles], ways.speed_limits[vehicles]), axis=1)
+        kinds = np.stack((ways["open_lanes"][vehicles], ways["speed_limits"][vehicles]), axis=1)
         is_one = (kinds == kinds[0]).all()
         for lanes, limit in (kinds[:1] if is_one else np.unique(kinds, axis=0)).tolist():
             some = np.nonzero((kinds == (lanes, limit)).all(axis=1))[0]

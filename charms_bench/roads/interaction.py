@@ -15,8 +15,7 @@ from charms_bench.roads.configured_egos import ConfiguredEgos
 from charms_bench.roads.conflicts import BEHIND as GIVES_WAY
 from charms_bench.roads.conflicts import CROSSING, MERGING, Conflicts
 from charms_bench.roads.episodes import Episodes
-from charms_bench.roads.scenes import OBSTACLE, Row, Scenes
-from charms_bench.roads.straightened import BEHIND, Ways
+from charms_bench.roads.scenes import BEHIND, OBSTACLE, WAY_LANES, Row, Scenes
 from charms_bench.world.interaction_observation import (
     CLEAR_M,
     EGO,
@@ -44,7 +43,6 @@ class RoadJunctions:
     """The junctions of the scenes that an engine shows; see `world.scene.Junctions`."""
 
     episodes: Episodes
-    ways: Ways
     views: int
     """How many views there are of each scene: one for each of its vehicles, or 1."""
     drivers: Ints
@@ -56,7 +54,7 @@ class RoadJunctions:
         """Completes the observations `interaction` of M vehicles that have just been shown."""
         rows, places = vehicles[0] // self.views, vehicles[1]
         episodes = self.episodes
-        known = episodes.scenes, self.ways.unpacked, episodes.conflicts
+        known = episodes.scenes, episodes.conflicts
         _describe(*known, rows, places, occlusion, observations)
 
     def observe(self, vehicles: Vehicles) -> NDArray[Any]:
@@ -81,7 +79,6 @@ class _Meeting(NamedTuple):
 @compiled_of_scenes
 def _describe(
     scenes: Scenes,
-    ways: Any,
     table: Conflicts,
     rows: Ints,
     places: Ints,
@@ -92,20 +89,17 @@ def _describe(
     meeting = _Meeting(
         np.zeros(count, np.bool_), np.zeros(count, np.int64), np.zeros(count), np.zeros(count)
     )
-    known = ways.scene
     for m in range(rows.size):
         b, i = rows[m], places[m]
-        _write_way(scenes, known, b, i, out[m, EGO], out[m, WAY])
-        _meet(scenes, known, table, b, i, meeting, out[m, WAY])
+        _write_way(scenes, b, i, out[m, EGO], out[m, WAY])
+        _meet(scenes, table, b, i, meeting, out[m, WAY])
         for j in range(count if occlusion else 0):
             meeting.found[j] = meeting.found[j] and not _is_hidden(scenes, b, i, j)
         _write_conflicts(scenes, table, b, i, meeting, out[m])
 
 
 @compiled
-def _write_way(
-    scenes: Scenes, ways: Ways, b: int, i: int, own: Observations, way: Observations
-) -> None:
+def _write_way(scenes: Scenes, b: int, i: int, own: Observations, way: Observations) -> None:
     """Writes what the road and the route say of the way of vehicle i."""
     road, vehicle = scenes.road, scenes.vehicles[b, i]
     lane = vehicle.lane
@@ -115,11 +109,11 @@ def _write_way(
     own[7] = clip(row.speed_limit / SPEED_MPS, 0.0, 1.0)
     way[0] = row.left >= 0 and is_reachable(road, row.left, vehicle.x, vehicle.y)
     way[1] = row.right >= 0 and is_reachable(road, row.right, vehicle.x, vehicle.y)
-    lanes = ways.lanes[b, i]
+    lanes = scenes.ways[b, i].lanes
     # The heading of the way, lane after lane.
     left_m, k, along = TURN_WITHIN_M, BEHIND, s
     turn = 0.0
-    while left_m > 0.0 and k < lanes.size and lanes[k] >= 0:
+    while left_m > 0.0 and k < WAY_LANES and lanes[k] >= 0:
         length = road.lanes[lanes[k]].length
         part = min(left_m, max(length - along, 0.0))
         turn += heading_at(road, lanes[k], along + part) - heading_at(road, lanes[k], along)
@@ -148,7 +142,6 @@ def _write_way(
 @compiled
 def _meet(
     scenes: Scenes,
-    ways: Ways,
     table: Conflicts,
     b: int,
     i: int,
@@ -157,11 +150,11 @@ def _meet(
 ) -> None:
     """Finds the first conflict of each vehicle with the way of vehicle i."""
     road, ego = scenes.road, scenes.vehicles[b, i]
-    lanes, starts = ways.lanes[b, i], ways.starts[b, i]
+    lanes, starts = scenes.ways[b, i].lanes, scenes.ways[b, i].starts
     s, _ = local_coordinates(road, lanes[BEHIND], ego.x, ego.y)
     x = starts[BEHIND] + s
     meeting.found[:] = False
-    for k in range(BEHIND - 1, lanes.size):
+    for k in range(BEHIND - 1, WAY_LANES):
         lane = lanes[k]
         if lane < 0:
             continue
@@ -171,7 +164,7 @@ def _meet(
             own = starts[k] + table.s[c] - x
             if own < -CLEAR_M or own > RANGE_M:
                 continue
-            after = lanes[k + 1] if k + 1 < lanes.size else -1
+            after = lanes[k + 1] if k + 1 < WAY_LANES else -1
             if table.kind[c] == MERGING and after >= 0 and after != table.into[c]:
                 continue
             if own > 0.0:

@@ -13,10 +13,12 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import (
     Unpacked,
+    borrowed,
     compiled,
     compiled_of_scenes,
     inlined,
     row_after,
+    unpack_with,
     woven,
 )
 from charms_bench.foundation.generator import State
@@ -50,6 +52,8 @@ ANY_SPEED_MPS = 1e6
 """The desired speed of a vehicle whose type has none: lanes limit its speed."""
 IDM_EXPONENT = 4.0
 """That of a driver for whom none is drawn [`IDMVehicle.DELTA`]."""
+WAY_LANES, BEHIND = 10, 3
+"""How many lanes a way has; the vehicle's own is the lane `BEHIND`."""
 Row = Any
 """A row of a table, which compiled code passes as a pointer."""
 
@@ -58,6 +62,7 @@ def _table(**names: str) -> "np.dtype[Any]":
     """The type of a row with fields of these names, which are separated by spaces."""
     kinds = {"floats": "f8", "integers": "i8", "booleans": "?"}
     kinds |= {"routes": f"{ROUTE_STEPS}i8", "gains": f"{GAINS}f8"}
+    kinds |= {"lanes": f"{WAY_LANES}i8", "along": f"{WAY_LANES}f8"}
     fields = [(name, kinds[kind]) for kind, each in names.items() for name in each.split()]
     return np.dtype((np.record, np.dtype(fields, align=True)))
 
@@ -86,6 +91,16 @@ of a road between two nodes, and the number of the lane on it, -1 if it is open.
 step is `route_step`, and before `route_end` is the last. On a road of a file, its `goal` is one of
 `Routes.goals`, -1 for none, so far along its road; so long it has stood, s; and it stops so far
 along `stop_lane`, -1 for none."""
+WAY = _table(
+    lanes="lanes numbers",
+    along="starts",
+    integers="steps targets open_lanes",
+    floats="speed_limits",
+)
+"""The way of a vehicle: its `lanes`, -1 for none, their `numbers` across the vehicle's road, and x
+at their `starts`, m. It was found at so many `steps` of the route. A view along it shows the lane
+`targets` as the vehicle's target; so many lanes of its road, from the left, may be driven on; and
+its lane has that speed limit, m/s."""
 COORDINATES = _table(floats="s r", integers="key")
 """How far a vehicle is along and beside a lane, m. The key is that of the lane and of the vehicle's
 last move, for which it was computed."""
@@ -143,9 +158,9 @@ lanes of their routes."""
 
 
 @compiled
-def _unpacked(scenes: Any) -> Unpacked:
+def _unpack(scenes: Any) -> Unpacked:
     """Unpacks scenes; one function for each kind, because numba's cache imports what it unpacks."""
-    return Unpacked(scenes)  # type: ignore[no-untyped-call]
+    return Unpacked(borrowed(scenes))  # type: ignore[no-untyped-call]
 
 
 class _Fields(NamedTuple):
@@ -153,6 +168,8 @@ class _Fields(NamedTuple):
 
     vehicles: NDArray[np.void]
     """[B, N] rows of `VEHICLE`: the egos, then the other vehicles, then obstacles."""
+    ways: NDArray[np.void]
+    """[B, N] rows of `WAY`: the ways of those that agents drive; see `straightened`."""
     order: NDArray[np.void]
     """[B, N] rows of `ORDER`, in highway-env's order of vehicles. Where vehicles come and go,
     places with nothing are last."""
@@ -202,7 +219,7 @@ class Scenes(_Fields):
     @cached_property
     def unpacked(self) -> Unpacked:
         """The scenes for compiled code, which unpacks them once."""
-        return _unpacked(self)
+        return unpack_with(_unpack, self)
 
     def __getstate__(self) -> None:
         """A copy of the scenes is unpacked anew."""
@@ -241,6 +258,7 @@ class Scenes(_Fields):
         clock["few"] = places <= FEW_VEHICLES and not connects
         return cls(
             vehicles=np.zeros((scenes, places), VEHICLE),
+            ways=no_ways(scenes, places),
             order=np.tile(in_order, (scenes, 1)),
             generator=np.zeros((scenes, 6), np.uint64),
             time=np.zeros(scenes),
@@ -260,6 +278,13 @@ class Scenes(_Fields):
             bodies=np.zeros(places, BODY),
             clock=clock,
         )
+
+
+def no_ways(scenes: int, places: int) -> NDArray[np.void]:
+    """[B, N] rows of `WAY` that have not been found."""
+    ways = np.zeros((scenes, places), WAY)
+    ways["lanes"] = -1
+    return ways
 
 
 Found = list[tuple[int, float]]
@@ -331,6 +356,7 @@ class Here(NamedTuple):
     """The scene that is being advanced, as the first rows of its tables."""
 
     vehicles: Row
+    ways: Row
     order: Row
     places: int
     coordinates: Row
@@ -355,6 +381,7 @@ def here_of(scenes: Scenes, b: int) -> Here:
     """Scene b."""
     return Here(
         scenes.vehicles[b, 0],
+        scenes.ways[b, 0],
         scenes.order[b, 0],
         scenes.vehicles.shape[1],
         scenes.coordinates[0],
@@ -379,6 +406,12 @@ def here_of(scenes: Scenes, b: int) -> Here:
 def vehicle_of(here: Here, i: int) -> Row:
     """The row of vehicle i."""
     return row_after(here.vehicles, i)
+
+
+@woven
+def way_of(here: Here, i: int) -> Row:
+    """The row of the way of vehicle i."""
+    return row_after(here.ways, i)
 
 
 @inlined

@@ -7,129 +7,86 @@ at most one lane from the viewer's road.
 """
 
 import math
-from functools import cached_property
-from typing import Any, NamedTuple
-
-import numpy as np
 
 from charms_bench.engine.neighbours import find_neighbours, sort_by_x
 from charms_bench.foundation import maths
-from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.foundation.compiled import Unpacked, compiled, inlined, wrap_to_pi
+from charms_bench.foundation.compiled import compiled, inlined, wrap_to_pi
 from charms_bench.roads.locating import coordinates_of, heading_on
 from charms_bench.roads.looking_ahead import speed_ahead
-from charms_bench.roads.scenes import NOTHING, Here, Row, Scenes, lane_of, vehicle_of
+from charms_bench.roads.scenes import (
+    BEHIND,
+    NOTHING,
+    WAY_LANES,
+    Here,
+    Row,
+    lane_of,
+    vehicle_of,
+    way_of,
+)
 from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import local_coordinates, next_lane, position
-from charms_bench.world.road_network import leads_to
+from charms_bench.world.road_network import Network, leads_to
 from charms_bench.world.scene import VACANT_X_M, Scene
 
-BEHIND, AHEAD = 3, 6
-"""How many lanes of the way behind and ahead of the viewer's lane are in the view."""
-
 
 @compiled
-def _unpacked(ways: Any) -> Unpacked:
-    """Unpacks ways; see `roads.scenes`."""
-    return Unpacked(ways)  # type: ignore[no-untyped-call]
-
-
-class _Fields(NamedTuple):
-    """The fields of `Ways`."""
-
-    lanes: Ints
-    """[B, N, K] -1 for none."""
-    numbers: Ints
-    """[B, N, K] their numbers across the viewer's road."""
-    starts: Floats
-    """[B, N, K] x at their starts, m."""
-    steps: Ints
-    """[B, N] the steps of the viewers' routes from which the ways were found."""
-    targets: Ints
-    """[B, N] the numbers of the viewers' target lanes, as the view shows them."""
-    open_lanes: Ints
-    """[B, N] how many lanes of the viewer's road, from the left, may be driven on."""
-    speed_limits: Floats
-    """[B, N] those of the viewers' lanes, m/s."""
-
-
-class Ways(_Fields):
-    """The ways of vehicles, K = BEHIND + 1 + AHEAD lanes each; the lane `BEHIND` is its own."""
-
-    @cached_property
-    def unpacked(self) -> Unpacked:
-        """The ways for compiled code, which unpacks them once."""
-        return _unpacked(self)
-
-    def __getstate__(self) -> None:
-        """A copy of the ways is unpacked anew."""
-
-    @classmethod
-    def empty(cls, scenes: int, vehicles: int) -> "Ways":
-        """The ways of B scenes that have not been started."""
-        shape = (scenes, vehicles, BEHIND + 1 + AHEAD)
-        lanes, numbers, starts = np.full(shape, -1), np.zeros(shape, np.int64), np.zeros(shape)
-        steps, targets, open_lanes = np.zeros((3, *shape[:2]), np.int64)
-        return cls(lanes, numbers, starts, steps, targets, open_lanes, np.zeros(shape[:2]))
-
-
-@compiled
-def straighten(
-    scenes: Scenes, here: Here, ways: Ways, b: int, viewer: int, scene: Scene, v: int
-) -> None:
-    """Fills scene v of a straight road with scene b of a network, as a vehicle sees it.
-
-    `here` is the state of scene b.
-    """
-    find_way(scenes, b, viewer, ways)
-    lanes, numbers = ways.lanes[b, viewer], ways.numbers[b, viewer]
-    own_road, width = lane_of(here, lanes[BEHIND]), scene.road.lane_width
-    count = min(own_road.lanes, scene.road.lanes)
-    for i in range(here.places):
-        vehicle, best = vehicle_of(here, i), BEHIND
-        if i != viewer:
-            best = place_on(here, i, lanes, numbers, -1.5 * width, (count + 0.5) * width, width)
-        if best < 0:
-            scene.present[v, i] = False
-            scene.x[v, i], scene.y[v, i] = VACANT_X_M - 1000.0 * i, 0.0
-            scene.lane[v, i] = scene.target_lane[v, i] = 0
-            scene.speed[v, i] = scene.heading[v, i] = 0.0
-            scene.acceleration[v, i] = scene.target_speed[v, i] = 0.0
-            scene.direction_x[v, i], scene.direction_y[v, i] = 1.0, 0.0
-            scene.crashed[v, i] = vehicle.crashed
-            continue
-        scene.present[v, i] = True
-        see(here, i, viewer, ways, b, best, scene, v)
-    ways.targets[b, viewer] = scene.target_lane[v, viewer]
-    ways.speed_limits[b, viewer] = own_road.speed_limit
+def straighten(road: Network, here: Here, viewer: int, scene: Scene, v: int) -> None:
+    """Fills scene v of a straight road with a scene of a network, as a vehicle sees it."""
+    if has_left_way(here, viewer):
+        find_way(road, here, viewer)
+    scene.present[v, viewer] = True
+    see(here, viewer, 0, here.places, scene, v)
+    way = way_of(here, viewer)
+    own_road = lane_of(here, way.lanes[BEHIND])
+    way.targets = scene.target_lane[v, viewer]
+    way.speed_limits = own_road.speed_limit
     if here.constants.looks_ahead:  # in whole m/s, because each speed has views of its own
-        ways.speed_limits[b, viewer] = max(math.floor(speed_ahead(here, viewer)), 1.0)
-    open_lanes = numbers[BEHIND] + 1
-    for number in range(numbers[BEHIND] + 1, count):
-        if not lane_of(here, own_road.first + number).forbidden:
-            open_lanes = number + 1
-    ways.open_lanes[b, viewer] = open_lanes
+        way.speed_limits = max(math.floor(speed_ahead(here, viewer)), 1.0)
+    number = way.numbers[BEHIND]
+    way.open_lanes = number + 1
+    for each in range(number + 1, min(own_road.lanes, scene.road.lanes)):
+        if not lane_of(here, own_road.first + each).forbidden:
+            way.open_lanes = each + 1
     sort_by_x(scene, v, v + 1)
     find_neighbours(scene, v, v + 1)
 
 
-@inlined
-def see(
-    here: Here, i: int, viewer: int, ways: Ways, b: int, best: int, scene: Scene, v: int
-) -> None:
-    """Fills in vehicle i of scene v, beside the lane `best` of the viewer's way."""
-    lanes, numbers, starts = ways.lanes[b, viewer], ways.numbers[b, viewer], ways.starts[b, viewer]
-    own_road, width = lane_of(here, lanes[BEHIND]), scene.road.lane_width
-    count, vehicle = min(own_road.lanes, scene.road.lanes), vehicle_of(here, i)
-    y = numbers[best] * width + coordinates_of(here, i, lanes[best]).r
-    at = coordinates_of(here, i, lanes[best])
-    scene.x[v, i], scene.y[v, i] = starts[best] + at.s, y
-    heading = wrap_to_pi(vehicle.heading - heading_on(here, lane_of(here, lanes[best]), at.s))
-    scene.heading[v, i] = heading
-    scene.direction_y[v, i], scene.direction_x[v, i] = maths.sin_cos(heading)
-    lane = numbers[BEHIND] if i == viewer else lane_at(y, width, count)
-    scene.lane[v, i], scene.target_lane[v, i] = lane, target_beside(here, vehicle, lane, count)
-    copy_state(scene, v, i, vehicle)
+@compiled
+def see(here: Here, viewer: int, first: int, after: int, scene: Scene, v: int) -> None:
+    """Fills in the vehicles from `first` on, and before `after`, of scene v."""
+    way, road_width = way_of(here, viewer), scene.road.lane_width
+    count = min(lane_of(here, way.lanes[BEHIND]).lanes, scene.road.lanes)
+    # Named once, because compiled code looks up an array whenever it is named.
+    present, crashed, x, y = scene.present[v], scene.crashed[v], scene.x[v], scene.y[v]
+    heading, speed, acceleration = scene.heading[v], scene.speed[v], scene.acceleration[v]
+    direction_x, direction_y = scene.direction_x[v], scene.direction_y[v]
+    lane, target_lane, steering = scene.lane[v], scene.target_lane[v], scene.steering[v]
+    length, width, timer_s = scene.length[v], scene.width[v], scene.timer_s[v]
+    target_speed = scene.target_speed[v]
+    for i in range(first, after):
+        k, vehicle = BEHIND, vehicle_of(here, i)
+        if i != viewer:
+            low, high = -1.5 * road_width, (count + 0.5) * road_width
+            k = place_on(here, i, way, low, high, road_width)
+            present[i] = k >= 0
+        crashed[i] = vehicle.crashed
+        if k < 0:
+            x[i], y[i] = VACANT_X_M - 1000.0 * i, 0.0
+            lane[i] = target_lane[i] = 0
+            speed[i] = heading[i] = acceleration[i] = target_speed[i] = 0.0
+            direction_x[i], direction_y[i] = 1.0, 0.0
+            continue
+        at = coordinates_of(here, i, way.lanes[k])
+        x[i], y[i] = way.starts[k] + at.s, way.numbers[k] * road_width + at.r
+        of_lane = heading_on(here, lane_of(here, way.lanes[k]), at.s)
+        heading[i] = wrap_to_pi(vehicle.heading - of_lane)
+        direction_y[i], direction_x[i] = maths.sin_cos(heading[i])
+        lane[i] = way.numbers[BEHIND] if i == viewer else lane_at(y[i], road_width, count)
+        target_lane[i] = target_beside(here, vehicle, lane[i], count)
+        speed[i], acceleration[i] = vehicle.speed, vehicle.acceleration
+        steering[i], timer_s[i] = vehicle.steering, vehicle.timer_s
+        length[i], width[i] = vehicle.length, vehicle.width
+        target_speed[i] = vehicle.target_speed
 
 
 @inlined
@@ -147,10 +104,8 @@ def target_beside(here: Here, vehicle: Row, lane: int, count: int) -> int:
 
 
 @compiled
-def place_on(
-    here: Here, i: int, lanes: Ints, numbers: Ints, least_y: float, largest_y: float, width: float
-) -> int:
-    """The lane of a way (K,) that vehicle i is beside, as an index; -1 for none.
+def place_on(here: Here, i: int, way: Row, least_y: float, largest_y: float, width: float) -> int:
+    """The lane of a way that vehicle i is beside, as an index; -1 for none.
 
     The viewer's lane comes first, then those ahead, then those behind. A vehicle that is only just
     before or after some lanes is on the first of them.
@@ -158,13 +113,13 @@ def place_on(
     found = -1
     if vehicle_of(here, i).kind == NOTHING:
         return found
-    for m in range(lanes.size):
-        k = BEHIND + m if BEHIND + m < lanes.size else lanes.size - 1 - m
-        if lanes[k] < 0:
+    for m in range(WAY_LANES):
+        k = BEHIND + m if BEHIND + m < WAY_LANES else WAY_LANES - 1 - m
+        if way.lanes[k] < 0:
             continue
-        at = coordinates_of(here, i, lanes[k])
-        beyond = max(at.s - lane_of(here, lanes[k]).length, 0.0 - at.s, 0.0)
-        y = numbers[k] * width + at.r
+        at = coordinates_of(here, i, way.lanes[k])
+        beyond = max(at.s - lane_of(here, way.lanes[k]).length, 0.0 - at.s, 0.0)
+        y = way.numbers[k] * width + at.r
         if beyond <= END_MARGIN_M and least_y <= y <= largest_y:
             if beyond == 0.0:
                 return k
@@ -174,25 +129,21 @@ def place_on(
 
 
 @inlined
-def copy_state(scene: Scene, v: int, i: int, vehicle: Row) -> None:
-    """Copies what does not depend on the view."""
-    scene.speed[v, i], scene.crashed[v, i] = vehicle.speed, vehicle.crashed
-    scene.acceleration[v, i], scene.steering[v, i] = vehicle.acceleration, vehicle.steering
-    scene.length[v, i], scene.width[v, i] = vehicle.length, vehicle.width
-    scene.target_speed[v, i], scene.timer_s[v, i] = vehicle.target_speed, vehicle.timer_s
+def has_left_way(here: Here, i: int) -> bool:
+    """Whether the way of vehicle i has to be found, for the first time or again."""
+    way, vehicle = way_of(here, i), vehicle_of(here, i)
+    return bool(way.lanes[BEHIND] != vehicle.lane or way.steps != vehicle.route_step)
 
 
 @compiled
-def find_way(scenes: Scenes, b: int, i: int, ways: Ways) -> None:
-    """Finds the lanes ahead of vehicle i where it has changed its lane, its road or its route.
+def find_way(road: Network, here: Here, i: int) -> None:
+    """Finds the lanes ahead of vehicle i, which has changed its lane, its road or its route.
 
     Its x is continuous, and the lanes behind keep their places beside the vehicle.
     """
-    road, vehicle = scenes.road, scenes.vehicles[b, i]
-    lanes, numbers, starts = ways.lanes[b, i], ways.numbers[b, i], ways.starts[b, i]
+    vehicle, way = vehicle_of(here, i), way_of(here, i)
+    lanes, numbers, starts = way.lanes, way.numbers, way.starts
     before, own = lanes[BEHIND], vehicle.lane
-    if before == own and ways.steps[b, i] == vehicle.route_step:
-        return
     number = own - road.lanes[own].first
     if before < 0:
         start = 0.0
@@ -212,9 +163,9 @@ def find_way(scenes: Scenes, b: int, i: int, ways: Ways) -> None:
             for k in range(BEHIND):
                 lanes[k], numbers[k], starts[k] = lanes[k + 1], numbers[k + 1], starts[k + 1]
     lanes[BEHIND], numbers[BEHIND], starts[BEHIND] = own, number, start
-    ways.steps[b, i] = step = vehicle.route_step
+    way.steps = step = vehicle.route_step
     lanes[BEHIND + 1 :] = -1
-    for k in range(BEHIND + 1, lanes.size):
+    for k in range(BEHIND + 1, WAY_LANES):
         lane = lanes[k - 1]
         row = road.lanes[lane]
         next_road = next_number = -1

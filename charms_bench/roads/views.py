@@ -10,11 +10,22 @@ from charms_bench.foundation.arrays import Bools, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined, wrap_to_pi
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.locating import coordinates_of, forget, heading_on
-from charms_bench.roads.scenes import OBSTACLE, Here, Scenes, here_of, lane_of, vehicle_of
-from charms_bench.roads.straightened import (
+from charms_bench.roads.scenes import (
     BEHIND,
-    Ways,
+    OBSTACLE,
+    WAY_LANES,
+    Here,
+    Row,
+    Scenes,
+    here_of,
+    lane_of,
+    no_ways,
+    vehicle_of,
+    way_of,
+)
+from charms_bench.roads.straightened import (
     find_way,
+    has_left_way,
     lane_at,
     place_on,
     see,
@@ -35,9 +46,9 @@ class RoadViews:
     """The `engine.views.Views` of scenes on a network; `state` has them as `Engine.state`."""
 
     def __init__(self, settings: SceneSettings, scenes: Scenes, state: Scene, fault: Fault) -> None:
-        self._settings, self._scenes, self._state, self._fault = settings, scenes, state, fault
-        count = len(scenes.vehicles)
-        self._ways = Ways.empty(*state.x.shape)
+        self._settings, self._state, self._fault = settings, state, fault
+        count, self._ways = len(scenes.vehicles), no_ways(*state.x.shape)
+        self._scenes = scenes._replace(ways=self._ways)
         self._along = np.zeros(state.x.shape[1], ALONG)
         self._along["place"] = np.arange(state.x.shape[1])
         self.own = Scene.empty(settings, count)._replace(
@@ -58,9 +69,9 @@ class RoadViews:
         is_new = entry != self._entry
         if is_new.any():
             self._entry = entry
-            self._ways.lanes[is_new] = -1
+            self._ways["lanes"][is_new] = -1
             self.collision[is_new], self.at_fault[is_new] = NO_COLLISION, False
-        follow_all(self._scenes, self._ways.unpacked, rows)
+        follow_all(self._scenes, rows)
 
     def judge(self) -> None:
         for b, i in zip(*np.nonzero(self._state.crashed & (self.collision == 0)), strict=True):
@@ -72,54 +83,47 @@ class RoadViews:
         self._follow(scenes)
         roads = self._scenes.road.lanes["first"][self._scenes.vehicles["lane"]]
         self.turned, self._roads = roads != self._roads, roads
-        see_themselves(self._scenes, self.own.unpacked, self._ways.unpacked, scenes)
+        see_themselves(self._scenes, self.own.unpacked, scenes)
 
     def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:
         rows, places = vehicles
-        own, ways = self.own.unpacked, self._ways.unpacked
-        see_each(self._scenes, own, ways, self._along, rows, places, after, seen)
+        see_each(self._scenes, self.own.unpacked, self._along, rows, places, after, seen)
 
 
 @compiled_of_scenes
-def follow_all(scenes: Scenes, ways: Any, rows: Ints) -> None:
+def follow_all(scenes: Scenes, rows: Ints) -> None:
     """Finds the ways of all vehicles of the scenes `rows`."""
-    known = ways.scene
-    lanes, steps = known.lanes, known.steps
     for b in rows:
         here = here_of(scenes, b)
         for i in range(here.places):
-            vehicle = vehicle_of(here, i)
-            # As in `find_way`, without a call: nearly all vehicles are still on their lanes.
-            has_changed = lanes[b, i, BEHIND] != vehicle.lane or steps[b, i] != vehicle.route_step
-            if has_changed and vehicle.kind > OBSTACLE:
-                find_way(scenes, b, i, known)
+            if has_left_way(here, i) and vehicle_of(here, i).kind > OBSTACLE:
+                find_way(scenes.road, here, i)
 
 
 @compiled_of_scenes
-def see_themselves(scenes: Scenes, own: Any, ways: Any, rows: Ints) -> None:
+def see_themselves(scenes: Scenes, own: Any, rows: Ints) -> None:
     """Fills in each vehicle of the scenes `rows` as it sees itself."""
-    scene, known = own.scene, ways.scene
     for b in rows:
         here = here_of(scenes, b)
         for i in range(here.places):
             forget(here, i)
             if vehicle_of(here, i).kind > OBSTACLE:
-                see(here, i, i, known, b, BEHIND, scene, b)
+                see(here, i, i, i + 1, own.scene, b)
 
 
 @compiled_of_scenes
 def see_each(
-    scenes: Scenes, own: Any, ways: Any, along: Any, rows: Ints, places: Ints, ends: Ints, seen: Any
+    scenes: Scenes, own: Any, along: Any, rows: Ints, places: Ints, ends: Ints, seen: Any
 ) -> None:
     """Fills in what M vehicles see.
 
     Where the others are along a way is found once for all vehicles of a scene that drive along it.
     """
-    road, known = own.scene.road, ways.scene
-    itself, is_done, first, after = own.scene, np.zeros(rows.size, np.bool_), 0, 0
+    road, itself = own.scene.road, own.scene
+    is_done, first, after = np.zeros(rows.size, np.bool_), 0, 0
     while first < rows.size:
         b = rows[first]
-        here, starts = here_of(scenes, b), known.starts[b]
+        here = here_of(scenes, b)
         for i in range(here.places):
             forget(here, i)
         while after < rows.size and rows[after] == b:
@@ -127,44 +131,45 @@ def see_each(
         for m in range(first, after):
             if is_done[m]:
                 continue
-            i = places[m]
-            find_along(here, road, known, b, i, along)
+            way = way_of(here, places[m])
+            find_along(here, road, way, along)
             for n in range(m, after):
                 j = places[n]
-                is_like = not is_done[n] and starts[i, BEHIND] == starts[j, BEHIND]
-                if is_like and is_same_way(known, b, i, j):
+                if not is_done[n] and is_same_way(way, way_of(here, j)):
                     x, lane = itself.x[b, j], itself.lane[b, j]
                     mine = seen[ends[n - 1] if n else 0 : ends[n]]
-                    look_around(here, road, known.lanes[b, i], j, x, lane, along, mine)
+                    look_around(here, road, way, j, x, lane, along, mine)
                     is_done[n] = True
         first = after
 
 
-@compiled
-def is_same_way(ways: Ways, b: int, one: int, other: int) -> bool:
+@inlined
+def is_same_way(one: Row, other: Row) -> bool:
     """Whether two vehicles of a scene drive along the same lanes."""
-    for k in range(ways.lanes.shape[2]):
-        lane = ways.lanes[b, one, k]
-        if lane != ways.lanes[b, other, k]:
+    if one.starts[BEHIND] != other.starts[BEHIND]:
+        return False
+    for k in range(WAY_LANES):
+        lane = one.lanes[k]
+        if lane != other.lanes[k]:
             return False
-        if lane >= 0 and ways.numbers[b, one, k] != ways.numbers[b, other, k]:
+        if lane >= 0 and one.numbers[k] != other.numbers[k]:
             return False
-        if lane >= 0 and ways.starts[b, one, k] != ways.starts[b, other, k]:
+        if lane >= 0 and one.starts[k] != other.starts[k]:
             return False
     return True
 
 
 @compiled
-def find_along(here: Here, road: Straight, ways: Ways, b: int, viewer: int, along: Any) -> None:
-    """Fills in where all vehicles [N] are along the way of one, as `straighten` does, in order.
+def find_along(here: Here, road: Straight, way: Row, along: Any) -> None:
+    """Fills in where all vehicles [N] are along a way, as `straighten` does, in order.
 
-    The viewer is placed like the others.
+    The vehicle that drives along it is placed like the others.
     """
-    lanes, numbers, starts = ways.lanes[b, viewer], ways.numbers[b, viewer], ways.starts[b, viewer]
+    lanes, numbers, starts = way.lanes, way.numbers, way.starts
     width, count = road.lane_width, min(lane_of(here, lanes[BEHIND]).lanes, road.lanes)
     for i in range(here.places):
         own = along[i]
-        own.k = k = place_on(here, i, lanes, numbers, -1.5 * width, (count + 0.5) * width, width)
+        own.k = k = place_on(here, i, way, -1.5 * width, (count + 0.5) * width, width)
         own.x = VACANT_X_M
         if k >= 0:
             at = coordinates_of(here, i, lanes[k])
@@ -188,7 +193,7 @@ def find_along(here: Here, road: Straight, ways: Ways, b: int, viewer: int, alon
 def look_around(
     here: Here,
     road: Straight,
-    lanes: Ints,
+    way: Row,
     viewer: int,
     own_x: float,
     own_lane: int,
@@ -220,7 +225,7 @@ def look_around(
             on = own_lane + side - 1
             if seen[side].place < 0 <= on < road.lanes and is_near_lane(road, on, along[i].y):
                 note(seen[side], i, along[i])
-                lane = lanes[along[i].k]
+                lane = way.lanes[along[i].k]
                 heading = heading_on(here, lane_of(here, lane), coordinates_of(here, i, lane).s)
                 heading = wrap_to_pi(vehicle_of(here, i).heading - heading)
                 seen[side].direction_y, seen[side].direction_x = maths.sin_cos(heading)

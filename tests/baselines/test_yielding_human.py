@@ -48,7 +48,7 @@ def crossing(own_m: float, other_m: float, other_mps: float) -> Simulation:
         vehicles["direction_y"][0, i] = math.sin(heading)
         vehicles["speed"][0, i], vehicles["lane"][0, i] = speed, lane
         vehicles["target_lane"][0, i] = lane
-    engine._ways.lanes[:] = -1
+    engine.episodes.scenes.ways["lanes"][:] = -1
     engine._moved[:] = True
     return simulation
 

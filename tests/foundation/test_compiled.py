@@ -78,6 +78,18 @@ def test_no_scene_is_kept_alive() -> None:
     assert position() is None
 
 
+def test_the_arrays_of_a_scene_live_as_long_as_what_compiled_code_holds_of_it() -> None:
+    scene = _scene(1.0)
+    position, held = weakref.ref(scene.x), scene.unpacked
+    del scene
+    gc.collect()
+    assert position() is not None
+    assert _sum.compiled(held, np.zeros(1), 1.0) == 4  # type: ignore[attr-defined]
+    del held
+    gc.collect()
+    assert position() is None
+
+
 def test_nothing_can_be_set_on_a_scene() -> None:
     scene, other = _scene(1.0), _scene(2.0)
     for name in ("unpacked", "x", "note"):

@@ -142,8 +142,7 @@ def test_a_vehicle_has_the_neighbours_that_its_whole_view_has(road: str) -> None
         seen = np.zeros(rows.size * width, SEEN)
         views.look(np.nonzero(made.scene.active)[0])
         views.see((rows, viewers), ends, seen)
-        unpacked = shown.unpacked, whole.unpacked, views._ways.unpacked
-        show_each(engine.episodes.scenes, *unpacked, rows, viewers)
+        show_each(views._scenes, shown.unpacked, whole.unpacked, rows, viewers)
         for b, i, own in zip(rows, viewers, seen.reshape(-1, width), strict=True):
             v = b * places + i
             leaders = whole.leaders[v, i, [LEFT, OWN, RIGHT]]

@@ -13,9 +13,9 @@ from charms_bench.plugins.traffic import OneAgent
 from charms_bench.roads.conflicts import BEHIND, CROSSING, FIRST, MERGING, conflicts
 from charms_bench.roads.engine import RoadEngine
 from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.scenes import BEHIND as OWN_LANE
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.roads.settings import on_road
-from charms_bench.roads.straightened import BEHIND as OWN_LANE
 from charms_bench.world.interaction_observation import CLEAR_M, FIRST_CONFLICT, Interaction
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.observations import described, observation_described
@@ -87,9 +87,9 @@ def seen(simulation: Simulation) -> np.ndarray:
 
 def plainly_met(engine: RoadEngine, b: int) -> list[tuple[float, float, float, int]]:
     """Both distances, speed and priority of the vehicles that an ego meets, the nearest first."""
-    scenes, table, ways = engine.episodes.scenes, engine.episodes.conflicts, engine._ways
+    scenes, table = engine.episodes.scenes, engine.episodes.conflicts
     vehicles, road = scenes.vehicles[b], scenes.road
-    lanes, starts = ways.lanes[b, 0], ways.starts[b, 0]
+    lanes, starts = (scenes.ways[name][b, 0] for name in ("lanes", "starts"))
     at = float(vehicles["x"][0]), float(vehicles["y"][0])
     x = starts[OWN_LANE] + local_coordinates(road, int(lanes[OWN_LANE]), *at)[0]
     met = []
