@@ -73,9 +73,10 @@ class Interaction(FrozenModel):
     """Standard deviations of the errors with which distances to other vehicles, and of them to
     conflict points, and their speeds are seen. Both errors are sums of four uniform numbers, drawn
     from what the ego is and sees, so that an episode that is simulated again has them again."""
-    delay_decisions: Annotated[int, Field(ge=0, le=20)] = 0
+    delay_decisions: Annotated[int, Field(ge=0, le=20, exclude_if=lambda value: value == 0)] = 0
     """How many decisions earlier the rows of other vehicles, from 2 on, have been seen. Nothing is
-    older than the first decision of the ego."""
+    older than the first decision of the ego. Files of networks say it where there is a delay, so
+    that those trained before have the bytes of those trained since."""
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -13,7 +13,9 @@ from charms_agents.training.suite_file import load_training
 from rows.history import earlier_networks, missing
 
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.onnx_session import open_session, signature_of
 from charms_bench.plugins.registry import make_agent
+from charms_bench.world.observations import described
 from charms_bench.world.recording_folder import find_trios
 
 PROJECT = Path(__file__).parents[2]
@@ -90,6 +92,17 @@ def test_the_agent_of_all_roads_has_one_of_the_networks_of_its_plan() -> None:
     assert stage.reward is not None
     assert made["reward"] == stage.reward.model_dump(exclude_none=True)
     assert (made["steps"], made["seed"]) == (stage.steps, suite.seed)
+
+
+@pytest.mark.parametrize(
+    ("suite", "name"), [("train", "charms_efficient_egoistic"), ("train-roads", "charms_roads")]
+)
+def test_training_describes_an_observation_as_when_the_network_was_trained(
+    suite: str, name: str
+) -> None:
+    said = signature_of(open_session((POLICIES / f"{name}.onnx").read_bytes())).metadata
+    trains = load_training(PROJECT / "suites" / f"{suite}.yaml")
+    assert described(trains.observed) == said["observation"]
 
 
 def test_a_network_that_is_not_kept_can_be_made_or_found(tmp_path: Path) -> None:
