@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 import plan_roads as plan
 import polars as pl
+from plan_roads_told import told
 from plan_roads_values import kept, mean_of, trained, values_of
-from result_pages import keep
+from result_pages import RESULTS, keep
 from scipy import stats
 
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
+from charms_bench.runs.finished_run import open_finished
 from charms_bench.statistics.paired import holm
 from charms_bench.world.scene import Floats
 
@@ -87,6 +89,15 @@ def statements(values: pl.DataFrame) -> str:
     )
 
 
+def told_table(values: pl.DataFrame) -> str:
+    """How well a style is told from one episode: the mean of the seeds, each held out."""
+    records = [
+        {"road": road, "told by": by, "told right": mean_of(cell["told"].to_numpy(), 0.0, 1.0)}
+        for (road, by), cell in values.group_by("road", "by", maintain_order=True)
+    ]
+    return markdown(Table.plain(records, ("road", "told by"), {"told right": ".1%"}))
+
+
 def limits(values: pl.DataFrame) -> str:
     """The limits of the plan, for each cell: the means of the seeds and whether they hold."""
     records = []
@@ -150,6 +161,10 @@ def tables(networks: Path, runs: Path) -> None:
     if plan.OF_STYLES in found:
         of_seeds = found[plan.OF_STYLES].drop_nulls("seed")
         keep("plan-roads-statements", statements(of_seeds))
+    if (runs / plan.OF_STYLES).is_dir():
+        by_seed = told(open_finished(runs / plan.OF_STYLES)).with_columns(pl.col("told").round(4))
+        by_seed.write_csv(RESULTS / "plan-roads-told.csv")
+        keep("plan-roads-told", told_table(by_seed))
     if found:
         # `levels` and `styles` drive the first episodes of `own` and `people` again.
         cells = pl.concat(found[test] for test in plan.TESTS if test in found)
