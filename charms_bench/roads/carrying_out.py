@@ -77,7 +77,7 @@ def take(here: Here, i: int, scene: Scene, v: int) -> None:
     """
     vehicle = vehicle_of(here, i)
     vehicle.target_speed, vehicle.timer_s = scene.target_speed[v, i], scene.timer_s[v, i]
-    if decides_lane(here, vehicle) or scene.target_lane[v, i] == way_of(here, i).targets:
+    if decides_lane(here, vehicle) or scene.target_lane[v, i] == way_of(here, i).target:
         return
     row = lane_of(here, vehicle.lane)
     lane = row.first + scene.target_lane[v, i]

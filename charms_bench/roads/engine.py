@@ -362,7 +362,7 @@ class RoadEngine(Engine):
             "kind": (0, len(KINDS) - 1),
             "speed_index": (0, max(scenes.target_speeds.size, 1) - 1),
             "lane": lane,
-            **dict.fromkeys(("route_step", "route_end", "steps of ways"), step),
+            **dict.fromkeys(("route_step", "route_end", "step of ways"), step),
             **dict.fromkeys(("route_roads", "route_numbers", "lanes of ways"), any_lane),
             "entries.vehicle": place,
             "entries.follower": place,
@@ -538,7 +538,7 @@ class RoadEngine(Engine):
         ways = self.episodes.scenes.ways
         is_traffic = shown is self._shown_views and bool(seats[1][0])
         scene = self._views if is_traffic else self.scene
-        kinds = np.stack((ways["open_lanes"][vehicles], ways["speed_limits"][vehicles]), axis=1)
+        kinds = np.stack((ways["open_lanes"][vehicles], ways["speed_limit"][vehicles]), axis=1)
         is_one = (kinds == kinds[0]).all()
         for lanes, limit in (kinds[:1] if is_one else np.unique(kinds, axis=0)).tolist():
             some = np.nonzero((kinds == (lanes, limit)).all(axis=1))[0]

@@ -92,15 +92,12 @@ step is `route_step`, and before `route_end` is the last. On a road of a file, i
 `Routes.goals`, -1 for none, so far along its road; so long it has stood, s; and it stops so far
 along `stop_lane`, -1 for none."""
 WAY = _table(
-    lanes="lanes numbers",
-    along="starts",
-    integers="steps targets open_lanes",
-    floats="speed_limits",
+    lanes="lanes numbers", along="starts", integers="step target open_lanes", floats="speed_limit"
 )
 """The way of a vehicle: its `lanes`, -1 for none, their `numbers` across the vehicle's road, and x
-at their `starts`, m. It was found at so many `steps` of the route. A view along it shows the lane
-`targets` as the vehicle's target; so many lanes of its road, from the left, may be driven on; and
-its lane has that speed limit, m/s."""
+at their `starts`, m. It was found when the vehicle was at the step `step` of its route. A view
+along it shows the lane `target` as the vehicle's target; so many lanes of its road, from the left,
+are open; and its lane has that speed limit, m/s."""
 COORDINATES = _table(floats="s r", integers="key")
 """How far a vehicle is along and beside a lane, m. The key is that of the lane and of the vehicle's
 last move, for which it was computed."""

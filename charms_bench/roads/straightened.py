@@ -38,10 +38,10 @@ def straighten(road: Network, here: Here, viewer: int, scene: Scene, v: int) -> 
     see(here, viewer, 0, here.places, scene, v)
     way = way_of(here, viewer)
     own_road = lane_of(here, way.lanes[BEHIND])
-    way.targets = scene.target_lane[v, viewer]
-    way.speed_limits = own_road.speed_limit
+    way.target = scene.target_lane[v, viewer]
+    way.speed_limit = own_road.speed_limit
     if here.constants.looks_ahead:  # in whole m/s, because each speed has views of its own
-        way.speed_limits = max(math.floor(speed_ahead(here, viewer)), 1.0)
+        way.speed_limit = max(math.floor(speed_ahead(here, viewer)), 1.0)
     number = way.numbers[BEHIND]
     way.open_lanes = number + 1
     for each in range(number + 1, min(own_road.lanes, scene.road.lanes)):
@@ -132,7 +132,7 @@ def place_on(here: Here, i: int, way: Row, least_y: float, largest_y: float, wid
 def has_left_way(here: Here, i: int) -> bool:
     """Whether the way of vehicle i has to be found, for the first time or again."""
     way, vehicle = way_of(here, i), vehicle_of(here, i)
-    return bool(way.lanes[BEHIND] != vehicle.lane or way.steps != vehicle.route_step)
+    return bool(way.lanes[BEHIND] != vehicle.lane or way.step != vehicle.route_step)
 
 
 @compiled
@@ -163,7 +163,7 @@ def find_way(road: Network, here: Here, i: int) -> None:
             for k in range(BEHIND):
                 lanes[k], numbers[k], starts[k] = lanes[k + 1], numbers[k + 1], starts[k + 1]
     lanes[BEHIND], numbers[BEHIND], starts[BEHIND] = own, number, start
-    way.steps = step = vehicle.route_step
+    way.step = step = vehicle.route_step
     lanes[BEHIND + 1 :] = -1
     for k in range(BEHIND + 1, WAY_LANES):
         lane = lanes[k - 1]
