@@ -538,12 +538,12 @@ class RoadEngine(Engine):
         ways = self.episodes.scenes.ways
         is_traffic = shown is self._shown_views and bool(seats[1][0])
         scene = self._views if is_traffic else self.scene
-        kinds = np.stack((ways["open_lanes"][vehicles], ways["speed_limit"][vehicles]), axis=1)
-        is_one = (kinds == kinds[0]).all()
-        for lanes, limit in (kinds[:1] if is_one else np.unique(kinds, axis=0)).tolist():
-            some = np.nonzero((kinds == (lanes, limit)).all(axis=1))[0]
+        kinds = np.empty(vehicles[0].size, dtype=np.complex128)  # pairs that are sorted fast
+        kinds.real, kinds.imag = ways["open_lanes"][vehicles], ways["speed_limit"][vehicles]
+        for kind in np.unique(kinds):
+            some, lanes, limit = np.nonzero(kinds == kind)[0], int(kind.real), float(kind.imag)
             each = seats[0][some], seats[1][some]
-            answers = model.drive(self._on_road(is_traffic, int(lanes), limit), each)
+            answers = model.drive(self._on_road(is_traffic, lanes, limit), each)
             obey(scene, *each, *answers)
         if is_traffic:
             self._seen.memory[vehicles] = self._views.memory[seats]
