@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats
-from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
+from charms_bench.foundation.compiled import borrowed, clip, compiled, compiled_of_scenes
 from charms_bench.roads.configured_egos import ConfiguredEgos
 from charms_bench.roads.conflicts import BEHIND as GIVES_WAY
 from charms_bench.roads.conflicts import CROSSING, MERGING, Conflicts
@@ -85,17 +85,17 @@ def _describe(
     occlusion: bool,
     out: Observations,
 ) -> None:
-    count = scenes.vehicles.shape[1]
+    count, known = scenes.vehicles.shape[1], borrowed(table)
     meeting = _Meeting(
         np.zeros(count, np.bool_), np.zeros(count, np.int64), np.zeros(count), np.zeros(count)
     )
     for m in range(rows.size):
         b, i = rows[m], places[m]
         _write_way(scenes, b, i, out[m, EGO], out[m, WAY])
-        _meet(scenes, table, b, i, meeting, out[m, WAY])
+        _meet(scenes, known, b, i, meeting, out[m, WAY])
         for j in range(count if occlusion else 0):
             meeting.found[j] = meeting.found[j] and not _is_hidden(scenes, b, i, j)
-        _write_conflicts(scenes, table, b, i, meeting, out[m])
+        _write_conflicts(scenes, known, b, i, meeting, out[m])
 
 
 @compiled
