@@ -18,7 +18,7 @@ import polars as pl
 import charms_bench
 from charms_bench.episodes.replay import Replay
 from charms_bench.roads.episodes import episodes_of_agents
-from charms_bench.world.plan import lines_of
+from charms_bench.world.plan_view import lines_of
 
 BEFORE_S = (2.0, 1.0, 0.4, 0.0)
 TRAIL_S, RADIUS_M = 4.0, 32.0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import polars as pl
 
-from charms_bench.people.following import DECISION_HZ
+from charms_bench.people.following_samples import DECISION_HZ
 from charms_bench.people.reference import (
     DHW,
     REFERENCES,
@@ -19,7 +19,7 @@ from charms_bench.people.reference import (
     histograms,
 )
 from charms_bench.people.situations import nearest_to_decisions
-from charms_bench.world.following import FOLLOWING_RANGE_M
+from charms_bench.world.following_bins import FOLLOWING_RANGE_M
 from charms_bench.world.trajectories import STAY_S
 
 RATE_HZ = 10

@@ -14,7 +14,7 @@ import numpy as np
 
 from charms_bench.episodes.search import Search, ego_of, scenario_of
 from charms_bench.runs.suite import Cell, load_suite
-from charms_bench.world.points import sobol
+from charms_bench.world.parameter_points import sobol
 
 AT_ONCE = 256
 SHARE_POINTS = 4096

@@ -14,12 +14,11 @@ from charms_bench.errors import InputError
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled_of_scenes, index, inlined
 from charms_bench.foundation.philox import uniforms
-from charms_bench.people import car_following
+from charms_bench.people import car_following, suited_drivers
 from charms_bench.people import population as populations
-from charms_bench.people import suited as suiting
 from charms_bench.people.car_following import BRAKING_LIMIT_MPS2, idm
 from charms_bench.people.population import Population, read_population
-from charms_bench.people.suited import DEVIATION_MPS2, TRIES
+from charms_bench.people.suited_drivers import DEVIATION_MPS2, TRIES
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.road import distance_along, is_reachable, side_lanes
@@ -70,9 +69,9 @@ class Human(DriverModel):
 
     Each driver has own parameters, which are correlated with each other, with the speed that the
     driver wants when the episode starts, and with the time gap to the leader at that time. Drivers
-    who would brake or accelerate hard at once are drawn again; see `people.suited`. Then the
-    parameters that end in `_quantile` are those of the first driver drawn. The acceleration follows
-    IDM's with a lag, and correlated noise is added.
+    who would brake or accelerate hard at once are drawn again; see `people.suited_drivers`. Then
+    the parameters that end in `_quantile` are those of the first driver drawn. The acceleration
+    follows IDM's with a lag, and correlated noise is added.
 
     Args:
         population: The name of a population in the package, or a JSON file that
@@ -138,7 +137,7 @@ def _driving(drivers: Population) -> _Driving:
 
 def _sha256(drivers: Population) -> str:
     digest = sha256(drivers.model_dump_json().encode())
-    for module in (car_following, populations, suiting):
+    for module in (car_following, populations, suited_drivers):
         digest.update(Path(str(module.__file__)).read_bytes())
     return digest.hexdigest()
 
@@ -201,7 +200,7 @@ def _drive(
 
 @inlined
 def _choose(p: Floats, scene: Scene, b: int, i: int, draws: Floats, d: _Driving) -> None:
-    """Sets the parameters p (P,) of a driver that suits the start, as `people.suited` does."""
+    """Sets the parameters p (P,) of a driver that suits the start, as `suited_drivers` does."""
     leader = scene.leaders[b, i, OWN]
     gap = LONGEST_M + 1
     if leader >= 0:

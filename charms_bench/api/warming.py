@@ -27,6 +27,6 @@ def warm_up() -> bool:
 def note_roads(suite: "Suite") -> None:
     """Says that a suite's first run on highway-env's roads compiles, if it does."""
     if suite.roads:
-        from charms_bench.roads.carrying_out import advance
+        from charms_bench.roads.agent_stepping import advance
 
         note_compiling(advance, ENGINE_OF_ROADS)

@@ -28,8 +28,8 @@ from charms_bench.engine.stepping import BeforeMove
 from charms_bench.engine.views import Views
 from charms_bench.plugins.agent import DriverModel, Policy
 from charms_bench.world.actions import Actions, MetaAction
-from charms_bench.world.moments import Moments
-from charms_bench.world.plan import Plan
+from charms_bench.world.plan_view import Plan
+from charms_bench.world.recorded_moments import Moments
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
 if TYPE_CHECKING:

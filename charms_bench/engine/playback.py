@@ -25,7 +25,7 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import seeded
 from charms_bench.world.gaps import gap_to, requires_braking, side_gap
-from charms_bench.world.moments import Tracks, moments_of
+from charms_bench.world.recorded_moments import Tracks, moments_of
 from charms_bench.world.road import closest_lane, heading_at, local_coordinates
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2

@@ -8,22 +8,22 @@ from gymnasium.vector import AutoresetMode
 from pydantic import ValidationError
 
 from charms_bench.envs import ID
+from charms_bench.envs.base_env import SingleEnv
 from charms_bench.envs.given_actions import GivenLike
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.learners import Learners, Reward
 from charms_bench.envs.progress_reward import ProgressReward
 from charms_bench.envs.scene_episodes import OfScenes, SceneEpisodes
-from charms_bench.envs.single_env import SingleEnv
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.errors import InputError, problem_in
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import Mixture, Traffic
-from charms_bench.world.moments import scene_of
 from charms_bench.world.named_road import ENVIRONMENT, NamedRoad
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.profile import ROADS
+from charms_bench.world.recorded_moments import scene_of
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import SceneSettings
 

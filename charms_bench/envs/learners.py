@@ -346,7 +346,7 @@ def _engine_of(settings: SceneSettings, agents: Mapping[str, Agent], title: str)
     if settings.network is None:
         note_compiling(advance, ENGINE)
         return BatchedEngine
-    from charms_bench.roads.carrying_out import advance as advance_on_road
+    from charms_bench.roads.agent_stepping import advance as advance_on_road
     from charms_bench.roads.engine import RoadEngine
     from charms_bench.roads.settings import problem_of_driver  # slow to import
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from charms_bench.envs.base_env import SingleEnv
 from charms_bench.envs.episodes import checked_options
 from charms_bench.envs.road_episodes import RoadEpisodes, RoadReward
 from charms_bench.envs.road_state import RoadState, RoadVehicle, missing
-from charms_bench.envs.single_env import SingleEnv
 from charms_bench.envs.vector_env import ScenesVectorEnv
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Floats

@@ -31,7 +31,7 @@ from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.progress import ENGINE_OF_ROADS, note_compiling
 from charms_bench.roads.available_actions import available_actions
 from charms_bench.roads.configuration import MetaActions
-from charms_bench.roads.controls import Controls
+from charms_bench.roads.continuous_actions import Controls
 from charms_bench.roads.episodes import Decision, EpisodesState
 from charms_bench.roads.episodes import Episodes as RoadScenes
 from charms_bench.roads.parking import Parking

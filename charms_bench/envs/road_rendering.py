@@ -6,7 +6,7 @@ import numpy as np
 
 from charms_bench.envs.rendering import Frame, frame_of
 from charms_bench.roads.episodes import Episodes, plan_of
-from charms_bench.world.plan import Lines, lines_of
+from charms_bench.world.plan_view import Lines, lines_of
 from charms_bench.world.scene import SceneSettings
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from charms_bench.envs import ID
 from charms_bench.envs.autoreset import Autoreset
+from charms_bench.envs.base_env import restore_option
 from charms_bench.envs.episodes import Episodes, Seeds, checked_options, masked, row_of
 from charms_bench.envs.given_actions import GivenLike
 from charms_bench.envs.learners import C, Learners, Reward
@@ -17,7 +18,6 @@ from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.envs.scene_episodes import EpisodesState as EpisodesState
 from charms_bench.envs.scene_episodes import OfScenes, SceneEpisodes
 from charms_bench.envs.seeds import checked_seed, seeds_of
-from charms_bench.envs.single_env import restore_option
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints

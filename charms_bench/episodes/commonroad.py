@@ -16,7 +16,7 @@ import numpy as np
 from charms_bench.episodes.replay import Replay
 from charms_bench.foundation.files import check_ending, reject_foreign, write_bytes
 from charms_bench.world.named_road import NamedRoad
-from charms_bench.world.plan import Plan
+from charms_bench.world.plan_view import Plan
 from charms_bench.world.road import position, width_at
 from charms_bench.world.road_network import (
     NO_LINE,

@@ -19,7 +19,7 @@ from charms_bench.plugins.registry import make_agent
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.plan import OF_VEHICLES, Plan, plan_over_time
+from charms_bench.world.plan_view import OF_VEHICLES, Plan, plan_over_time
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import VACANT_X_M, Floats, Ints, SceneSettings
 from charms_bench.world.tracks import Motion

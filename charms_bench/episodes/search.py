@@ -36,7 +36,7 @@ from charms_bench.runs.checked_result import read_result, write_result
 from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.shard import CellTask, engine_on, installed
 from charms_bench.runs.suite import Cell, EgoEntry, Suite, Surroundings, TrafficEntry
-from charms_bench.world.points import from_shares, sobol
+from charms_bench.world.parameter_points import from_shares, sobol
 from charms_bench.world.scenario import Parameter, Scenario
 from charms_bench.world.scene import Floats, Ints, SceneSettings
 

@@ -15,7 +15,7 @@ from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.rows import DRIFT_MPS, join_rows
 from charms_bench.recording.lane_changes import ATTEMPT_DECISIONS, is_given_up, taker_of
 from charms_bench.recording.primitives import NOBODY, VEHICLE
-from charms_bench.world.moments import Moments, moments_of
+from charms_bench.world.recorded_moments import Moments, moments_of
 from charms_bench.world.scene import SceneSettings
 
 CLOSE_M = 1.0

@@ -16,7 +16,7 @@ from charms_bench.errors import MapError
 from charms_bench.foundation.arrays import Floats
 from charms_bench.maps.elements import LARGEST, Element, elements, printable
 from charms_bench.world.lane_geometry import Pair
-from charms_bench.world.moments import Tracks
+from charms_bench.world.recorded_moments import Tracks
 
 NO_VEHICLES = frozenset(["pedestrian", "bicycle", "train", "constructionZone", "roadBoundary"])
 """The types of obstacles that do not drive on lanes of cars."""

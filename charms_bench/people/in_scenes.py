@@ -14,9 +14,9 @@ import numpy as np
 
 from charms_bench.engine.endings import RUNNING, TIME
 from charms_bench.engine.simulation import Simulation
-from charms_bench.people.behind import FEWEST_DRIVERS, REPETITIONS
-from charms_bench.people.driven import Driven
+from charms_bench.people.driven_situations import Driven
 from charms_bench.people.likeness import Score, Yardstick
+from charms_bench.people.resimulation import FEWEST_DRIVERS, REPETITIONS
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.roads.engine import RoadEngine

@@ -1,7 +1,7 @@
 """How much a driver is like recorded drivers.
 
 A driver replaces recorded drivers, for 30 s behind their recorded leaders, and in equally many
-situations that no recording has; see `people.unseen`. Three components are scored, and the
+situations that no recording has; see `unseen_situations`. Three components are scored, and the
 worst of them is the total:
 
 - **closed loop**, in the recorded situations: the energy score of gap and speed after 10, 20 and
@@ -22,7 +22,12 @@ from functools import cache
 
 import numpy as np
 
-from charms_bench.people.driven import HARD_BRAKING_MPS2, SHORT_HEADWAY_S, Driven, reversals
+from charms_bench.people.driven_situations import (
+    HARD_BRAKING_MPS2,
+    SHORT_HEADWAY_S,
+    Driven,
+    reversals,
+)
 from charms_bench.people.held_out import HORIZONS_S, SEED
 from charms_bench.statistics.energy_score import energy_score
 from charms_bench.world.gaps import is_within, time_headway

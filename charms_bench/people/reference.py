@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 
 from charms_bench.errors import suggestion
 from charms_bench.foundation.fields import FilePath, FrozenModel, Name
-from charms_bench.people.following import DECISION_HZ, LANE_CHANGE_SPEED_MPS, followers
+from charms_bench.people.following_samples import DECISION_HZ, LANE_CHANGE_SPEED_MPS, followers
 from charms_bench.people.population import Artefact
-from charms_bench.world.following import BIN, BINS, FOLLOWING_RANGE_M, bins_of
+from charms_bench.world.following_bins import BIN, BINS, FOLLOWING_RANGE_M, bins_of
 from charms_bench.world.recording_folder import read_folder
 from charms_bench.world.scene import Floats, Ints
 
@@ -83,7 +83,7 @@ class Reference(Artefact):
     unit: str
     """What is taken to be independent of each other: vehicles, recordings or runs."""
     speed: tuple[Counts, ...]
-    """Speeds of drivers at decisions in each unit, in the bins of `charms_bench.world.following`;
+    """Speeds of drivers at decisions in each unit, in the bins of `world.following_bins`;
     empty if the quantity was not recorded."""
     dhw: tuple[Counts, ...]
     """Distance headways at starts of lane changes, likewise."""
@@ -97,7 +97,7 @@ class Reference(Artefact):
         return f"{self!r}\n{self.origin}\nTerms: {self.terms}"
 
     def units(self, quantity: str) -> Floats:
-        """[U, BINS] counts of a quantity of `world.following.QUANTITIES`, by unit with any."""
+        """[U, BINS] counts of a quantity of `world.following_bins.QUANTITIES`, by unit with any."""
         counts = np.array({"speed": self.speed, "dhw": self.dhw}[quantity], dtype=np.float64)
         counts = counts.reshape(-1, BINS)
         return counts[counts.any(axis=1)]

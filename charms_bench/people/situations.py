@@ -11,7 +11,7 @@ import polars as pl
 
 from charms_bench.engine.neighbours import locate
 from charms_bench.errors import DataError
-from charms_bench.world.following import FOLLOWING_RANGE_M
+from charms_bench.world.following_bins import FOLLOWING_RANGE_M
 from charms_bench.world.observations import COMMANDS, EGO, RANGE_M, Neighbours, neighbours
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints, Observations, Scene, SceneSettings

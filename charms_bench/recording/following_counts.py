@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from charms_bench.foundation.compiled import compiled
 from charms_bench.recording.columns import COUNT_SCHEMA, table
 from charms_bench.recording.primitives import Frames, distance_to
-from charms_bench.world.following import BINS, FOLLOWING_RANGE_M, QUANTITIES, bins_of
+from charms_bench.world.following_bins import BINS, FOLLOWING_RANGE_M, QUANTITIES, bins_of
 from charms_bench.world.road import Straight
 from charms_bench.world.scene import Ints
 

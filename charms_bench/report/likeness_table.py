@@ -21,7 +21,7 @@ CONDUCT = {
     "lane_changes_per_km": ("lane changes per km", ".2f"),
     "undone_lane_changes": ("undone within 5 s", ".1%"),
 }
-"""The heading and the format of each number of `people.driven.conduct`."""
+"""The heading and the format of each number of `people.driven_situations.conduct`."""
 _SCORES = {name: name.replace("_", " ") for name in (*COMPONENTS, "total")}
 
 

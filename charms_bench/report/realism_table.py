@@ -26,7 +26,7 @@ from charms_bench.statistics.divergence import (
 )
 from charms_bench.statistics.human_sample import around, perfect_samples
 from charms_bench.statistics.intervals import resampled_totals
-from charms_bench.world.following import BIN, BINS, QUANTITIES, bins_of
+from charms_bench.world.following_bins import BIN, BINS, QUANTITIES, bins_of
 from charms_bench.world.scene import Floats
 
 KEYS = ("traffic",)

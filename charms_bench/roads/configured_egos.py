@@ -11,7 +11,7 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.plugins.agent import Policy
-from charms_bench.roads.controls import Controls, actions_of, kind_of_ego
+from charms_bench.roads.continuous_actions import Controls, actions_of, kind_of_ego
 from charms_bench.roads.driving import command
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.locating import forget

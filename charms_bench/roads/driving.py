@@ -16,7 +16,7 @@ from charms_bench.foundation.compiled import (
     row_after,
     wrap_to_pi,
 )
-from charms_bench.roads.linear import linear_acceleration, linear_steering
+from charms_bench.roads.linear_vehicles import linear_acceleration, linear_steering
 from charms_bench.roads.locating import (
     as_followed,
     coordinates_of,
@@ -24,7 +24,6 @@ from charms_bench.roads.locating import (
     heading_on,
     width_on,
 )
-from charms_bench.roads.order import neighbours
 from charms_bench.roads.safe_gap import is_safe
 from charms_bench.roads.scenes import (
     AHEAD,
@@ -50,6 +49,7 @@ from charms_bench.roads.scenes import (
     put,
     vehicle_of,
 )
+from charms_bench.roads.vehicle_order import neighbours
 from charms_bench.world import idm_mobil
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER
 from charms_bench.world.bicycle import slip_to_turn, steering_of, towards_centre, towards_speed

@@ -28,7 +28,7 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded, with_draws
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.roads.carrying_out import (
+from charms_bench.roads.agent_stepping import (
     BY_CONFIGURATION,
     BY_CONTROLS,
     BY_ENVIRONMENT,
@@ -64,7 +64,7 @@ from charms_bench.roads.settings import ONLY_EGOS, profiles_of, room_on
 from charms_bench.roads.sizes import set_types
 from charms_bench.roads.views import RoadViews
 from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, controls_of
-from charms_bench.world.plan import Lines, Plan, lines_of
+from charms_bench.world.plan_view import Lines, Plan, lines_of
 from charms_bench.world.scene import Scene, SceneSettings, Vehicles
 
 _COLUMNS = {name: name for name in Scene._fields if name in (VEHICLE.names or ())}

@@ -15,15 +15,15 @@ from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded
 from charms_bench.roads import OF_FILES, TASKS, configuration
 from charms_bench.roads.conflicts import Conflicts
-from charms_bench.roads.controls import Controls, actions_of
+from charms_bench.roads.continuous_actions import Controls, actions_of
 from charms_bench.roads.defaults import DEFAULTS, MOST_STEPS, SPLIT
-from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
+from charms_bench.roads.linear_vehicles import LINEAR, TIME_HEADWAY_S
 from charms_bench.roads.observing import Kinematics, Observed, observer_of
 from charms_bench.roads.scenes import LANDMARK, NOTHING, OBSTACLE, Scenes, place
 from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
-from charms_bench.world.plan import OF_VEHICLES, Lines, Plan
+from charms_bench.world.plan_view import OF_VEHICLES, Lines, Plan
 from charms_bench.world.profile import HIGHWAY_ENV
 
 Seen = Observed | tuple[Observed, ...]

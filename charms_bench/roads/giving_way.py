@@ -1,9 +1,9 @@
 """Who goes first where lanes of a road in a file cross or merge, and who stops at a light.
 
-Vehicles look `LOOK_M` along their ways to the places where lanes meet; see `meetings`. A vehicle
-stops before the junction, or before that place if there is no junction or
-the vehicle is in it, as long as another one is there, or goes first and would come there before the
-vehicle has left. The first is
+Vehicles look `LOOK_M` along their ways to the places where lanes meet; see `yield_points`. A
+vehicle stops before the junction, or before that place if there is no junction or it is in it, as
+long as another one is there, or goes first and would come there before the vehicle has left. The
+first is
 
 1. a vehicle in the junction, then one that can no longer stop, then any other one,
 2. the one whose lane has the right of way, if the map says so and not both have stood for
@@ -22,9 +22,9 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
-from charms_bench.roads.meetings import GIVES_WAY, UNKNOWN, Meetings
 from charms_bench.roads.routes import Net
 from charms_bench.roads.scenes import OBSTACLE, Row, Scenes
+from charms_bench.roads.yield_points import GIVES_WAY, UNKNOWN, Meetings
 from charms_bench.world.road import local_coordinates
 from charms_bench.world.road_network import Network
 

@@ -17,7 +17,6 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.locating import as_followed, coordinates_of, distance_to, forget
-from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     IDM,
     NOTHING,
@@ -28,6 +27,7 @@ from charms_bench.roads.scenes import (
     place_near,
     tidy_all,
 )
+from charms_bench.roads.vehicle_order import neighbours
 from charms_bench.world.idm_mobil import equilibrium_gap
 from charms_bench.world.road import heading_at, position
 from charms_bench.world.scene import SceneSettings

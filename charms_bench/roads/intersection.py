@@ -15,7 +15,7 @@ from charms_bench.foundation.generator import integers, normal, random, two_inte
 from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.layout import WIDTH_M, Edge
 from charms_bench.roads.locating import forget
-from charms_bench.roads.right_of_way import FREQUENCY_HZ
+from charms_bench.roads.regulated_road import FREQUENCY_HZ
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, put_on_lane, tidy
 from charms_bench.roads.stepping import advance
 from charms_bench.roads.task import (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
-from charms_bench.roads.controls import kind_of_ego
+from charms_bench.roads.continuous_actions import kind_of_ego
 from charms_bench.roads.layout import Edge
 from charms_bench.roads.scenes import DYNAMICAL, Scenes, place
 from charms_bench.roads.task import Task

@@ -11,13 +11,13 @@ import numpy as np
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools
 from charms_bench.foundation.compiled import compiled_of_scenes
-from charms_bench.roads.coming_and_going import CLEARED, ENTERED, FREED, LEFT, STATIONARY_MPS
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.fault import REAR_END_COS, SIDE_COS
-from charms_bench.roads.file_road import FileRoad
 from charms_bench.roads.map_lanes import map_of
+from charms_bench.roads.road_from_file import FileRoad
 from charms_bench.roads.scenes import IDM, OBSTACLE, Scenes
 from charms_bench.roads.stepping import decide
+from charms_bench.roads.traffic_renewal import CLEARED, ENTERED, FREED, LEFT, STATIONARY_MPS
 from charms_bench.world.named_road import FILE_ROAD, hash_of
 from charms_bench.world.road import is_on_lane
 
@@ -40,7 +40,7 @@ class Drive:
     off_road: int = 0
     """How often a vehicle left the road without a collision."""
     freed: int = 0
-    """How many vehicles were taken out because they had stood for too long; see `file_road`."""
+    """How many vehicles were taken out because they had stood too long; see `road_from_file`."""
     left: int = 0
     """How many left at an end of the road."""
     stationary: float = 0.0
@@ -59,7 +59,7 @@ def long_drive(
     seed: int = 0,
     progress: Callable[[float], None] = lambda hours: None,
 ) -> Drive:
-    """Lets highway-env's IDM vehicles drive from goal to goal; see `file_road`.
+    """Lets highway-env's IDM vehicles drive from goal to goal; see `road_from_file`.
 
     Args:
         path: A road file or a map.

@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.roads import attributes, kinematics, occupancy_grid, time_to_collision
+from charms_bench.roads import attributes_observation as attributes
+from charms_bench.roads import kinematics_observation as kinematics
+from charms_bench.roads import occupancy_grid_observation as occupancy_grid
+from charms_bench.roads import time_to_collision_observation as time_to_collision
 from charms_bench.roads.configuration import options
-from charms_bench.roads.controls import kind_of_ego
+from charms_bench.roads.continuous_actions import kind_of_ego
 from charms_bench.roads.scenes import COMMANDED, LANDMARK, Scenes
 from charms_bench.world.kinematics_observation import FEATURES
 from charms_bench.world.scene import Observations

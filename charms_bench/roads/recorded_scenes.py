@@ -26,8 +26,8 @@ from charms_bench.roads.map_lanes import driven_lanes, map_of
 from charms_bench.roads.routes import Routes, plan_way
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, list_by_place, place
 from charms_bench.roads.task import draw_behaviour
-from charms_bench.world.moments import Moments, Tracks, in_order, order_of
 from charms_bench.world.named_road import PLANNING_PROBLEM, hash_of
+from charms_bench.world.recorded_moments import Moments, Tracks, in_order, order_of
 from charms_bench.world.road import closest_lane, heading_at, local_coordinates, width_at
 from charms_bench.world.road_network import Network
 from charms_bench.world.scene import Vehicles

@@ -2,8 +2,8 @@
 
 from charms_bench.foundation.compiled import compiled
 from charms_bench.roads.locating import coordinates_of
-from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import Here, vehicle_of
+from charms_bench.roads.vehicle_order import neighbours
 from charms_bench.world.gaps import gap_to, is_within, requires_braking
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 

@@ -80,11 +80,11 @@ VEHICLE = _table(
 """A row of the table of vehicles; SI units, and names as in `world.scene.Scene`.
 
 `desired_speed` is that of the vehicle's type, `ANY_SPEED_MPS` if it has none. `exponent` is that of
-IDM, and the `gains` are those of a linear vehicle; see `linear`.
+IDM, and the `gains` are those of a linear vehicle; see `linear_vehicles`.
 `speed_index` is the place of the target speed of a commanded vehicle. `changes_lanes`
 says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles collide if one of them
 `checks_collisions`. A vehicle that `is_yielding` stops for another one; see
-`right_of_way`. Outside of `speed_min` to `speed_max`, a vehicle brakes or accelerates. Only a
+`regulated_road`. Outside of `speed_min` to `speed_max`, a vehicle brakes or accelerates. Only a
 dynamical vehicle has a `lateral_speed` and a `yaw_rate`. `free_acceleration` is the first part of
 IDM, of an IDM vehicle in the present step. A route is a list of steps: the first lane
 of a road between two nodes, and the number of the lane on it, -1 if it is open. The vehicle's next

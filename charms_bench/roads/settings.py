@@ -16,10 +16,10 @@ from charms_bench.roads.layout import Layout
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.highway_env_observation import HighwayEnv
 from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.moments import Moments
 from charms_bench.world.named_road import NamedRoad
 from charms_bench.world.observations import observation_of
 from charms_bench.world.profile import Profile
+from charms_bench.world.recorded_moments import Moments
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import SceneSettings
 

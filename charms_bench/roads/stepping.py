@@ -11,7 +11,7 @@ from charms_bench.roads.driving import act, command
 from charms_bench.roads.dynamics import finish, go_straight, move_with_slip, prepare, turn_batch
 from charms_bench.roads.locating import are_above, forget, locate
 from charms_bench.roads.looking_ahead import look_ahead
-from charms_bench.roads.right_of_way import enforce
+from charms_bench.roads.regulated_road import enforce
 from charms_bench.roads.scenes import (
     BATCH,
     COMMANDED,

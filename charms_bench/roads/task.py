@@ -14,7 +14,7 @@ from charms_bench.foundation.generator import random, uniform
 from charms_bench.roads.fault import ranks_of
 from charms_bench.roads.layout import Edge, Layout, RoadObject
 from charms_bench.roads.scenes import COMMANDED, GAINS, NOTHING, Row, Scenes
-from charms_bench.world.moments import Moments
+from charms_bench.world.recorded_moments import Moments
 from charms_bench.world.road import is_on_lane
 from charms_bench.world.scene import Vehicles
 

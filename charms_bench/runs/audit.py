@@ -22,7 +22,7 @@ from charms_bench.runs.rare import damaged_files
 from charms_bench.runs.resumable_folder import KINDS, RunFolder
 from charms_bench.runs.runner import SHARD_LIMIT_S, on_this_machine
 from charms_bench.runs.shard import ShardFiles, simulate
-from charms_bench.runs.shards import Shard, places_of
+from charms_bench.runs.shard_names import Shard, places_of
 from charms_bench.runs.suite import Suite
 
 

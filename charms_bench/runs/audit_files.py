@@ -21,8 +21,8 @@ from charms_bench.runs.resumable_folder import (
     ROADS,
     RunFolder,
 )
+from charms_bench.runs.shard_names import Shard, places_of, shard_named
 from charms_bench.runs.shard_rows import problem_between
-from charms_bench.runs.shards import Shard, places_of, shard_named
 from charms_bench.runs.suite import Suite
 
 UNCHECKED = ("figures", "replays", "datasets")

@@ -17,7 +17,7 @@ from charms_bench.runs.manifest import differing_fields
 from charms_bench.runs.resumable_folder import RunFolder
 from charms_bench.runs.runner import plan_cell
 from charms_bench.runs.shard import ShardTask, forget_agents
-from charms_bench.runs.shards import Shard
+from charms_bench.runs.shard_names import Shard
 from charms_bench.runs.suite import Cell, Suite
 
 LISTED = 5

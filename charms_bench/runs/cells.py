@@ -12,7 +12,7 @@ from charms_bench.errors import RegistryError
 from charms_bench.foundation.words import counted
 from charms_bench.metrics import Metric, sums_by_episode
 from charms_bench.metrics.metric import problem_of_sums
-from charms_bench.world.following import BINS, QUANTITIES
+from charms_bench.world.following_bins import BINS, QUANTITIES
 from charms_bench.world.named_road import ENVIRONMENT
 from charms_bench.world.scene import Floats, SceneSettings
 

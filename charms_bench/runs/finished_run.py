@@ -12,8 +12,8 @@ import polars as pl
 from charms_bench.errors import CharmsBenchError, RunFolderError, SuiteError
 from charms_bench.runs.cells import CellRows, Rows, TrafficCounts
 from charms_bench.runs.resumable_folder import RunFolder
+from charms_bench.runs.shard_names import Shard
 from charms_bench.runs.shard_rows import problem_of_steps
-from charms_bench.runs.shards import Shard
 from charms_bench.runs.suite import Suite
 
 EPISODES_AND_STEPS = ("episodes", "steps")

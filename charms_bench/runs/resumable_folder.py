@@ -26,6 +26,7 @@ from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
 from charms_bench.runs.manifest import check_fields, delete, opened, read_manifest
 from charms_bench.runs.shard import ShardFiles
+from charms_bench.runs.shard_names import Shard, places_of, shard_named
 from charms_bench.runs.shard_rows import (
     check_seeds,
     check_values,
@@ -33,7 +34,6 @@ from charms_bench.runs.shard_rows import (
     problem_of_egos,
     rows_in,
 )
-from charms_bench.runs.shards import Shard, places_of, shard_named
 from charms_bench.runs.suite import UNDECIDING, Suite
 from charms_bench.runs.suite_roads import RoadEntry
 

@@ -29,7 +29,7 @@ from charms_bench.runs.shard import (
     simulate,
     traffic_of,
 )
-from charms_bench.runs.shards import Shard, blocks, places_of, shard_named
+from charms_bench.runs.shard_names import Shard, blocks, places_of, shard_named
 from charms_bench.runs.suite import Cell, Suite
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS

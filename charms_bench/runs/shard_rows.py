@@ -24,8 +24,8 @@ from charms_bench.recording.columns import (
     keys_of,
     with_ego_index,
 )
-from charms_bench.runs.shards import Shard
-from charms_bench.world.following import BINS, QUANTITIES
+from charms_bench.runs.shard_names import Shard
+from charms_bench.world.following_bins import BINS, QUANTITIES
 from charms_bench.world.scene import DECISIONS_LIMIT
 
 ROWS_LIMIT = 150 * DECISIONS_LIMIT

@@ -30,9 +30,9 @@ from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.cells import title_of
 from charms_bench.runs.document import Document, Location
 from charms_bench.runs.suite_roads import RoadEntry, reject_roads_of_traffic, with_defaults_of_roads
-from charms_bench.world.moments import RecordedScene, moments_of
 from charms_bench.world.named_road import DRAWN, ENVIRONMENT
 from charms_bench.world.placement import Placing, driver_parameters, place
+from charms_bench.world.recorded_moments import RecordedScene, moments_of
 from charms_bench.world.scenario import PRESCRIBED, Scenario
 from charms_bench.world.scene import EVALUATION_SEEDS, Ints, SceneSettings
 from charms_bench.world.vehicle_types import check_driver_parameters

@@ -9,8 +9,8 @@ import numpy as np
 
 from charms_bench.foundation.generator import seeded
 from charms_bench.roads.defaults import DEFAULTS
-from charms_bench.roads.file_road import FileRoad
 from charms_bench.roads.map_lanes import driven_lanes, map_of
+from charms_bench.roads.road_from_file import FileRoad
 from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.roads.stepping import decide
 from charms_bench.testing.parity import Values
@@ -27,8 +27,8 @@ class MapCase:
     """A road in a file, on which IDM vehicles drive their routes.
 
     They start as the road's own vehicles do, with their routes, and see vehicles on connected
-    lanes. What `file_road` adds to highway-env is off: it looks ahead along the lanes that follow,
-    gives way, and has levels.
+    lanes. What `road_from_file` adds to highway-env is off: it looks ahead along the lanes that
+    follow, gives way, and has levels.
     """
 
     path: Path

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from charms_bench.roads.controls import Controls
+from charms_bench.roads.continuous_actions import Controls
 from charms_bench.roads.episodes import Decision, Episodes
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.testing.parity import Values

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from charms_bench.world import palette
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.plan import Plan
+from charms_bench.world.plan_view import Plan
 from charms_bench.world.scene import Floats, SceneSettings
 from charms_bench.world.tracks import Motion
 

@@ -10,7 +10,7 @@ from charms_bench.errors import ScenarioError, suggestion
 from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.formula import Formula, evaluate
 from charms_bench.world.lane_geometry import END_MARGIN_M
-from charms_bench.world.points import count_of, values_at
+from charms_bench.world.parameter_points import count_of, values_at
 from charms_bench.world.road import position
 from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Scenario
 from charms_bench.world.scene import SceneSettings

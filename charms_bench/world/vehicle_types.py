@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from charms_bench.errors import ScenarioError, suggestion
 from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.fields import UNLESS_EMPTY, Finite, FrozenModel, Name, Positive, Speed
-from charms_bench.world.points import DECIMALS, truncated_normal
+from charms_bench.world.parameter_points import DECIMALS, truncated_normal
 
 TRUCK_LENGTH_M = 8.0
 """Exports call a vehicle of at least this length a truck."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from charms_agents.training.network import side_by_side, untrained
-from charms_agents.training.standardised import folded, standardise, unfolded
+from charms_agents.training.standardisation import folded, standardise, unfolded
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -8,11 +8,11 @@ import polars as pl
 import pytest
 import torch
 from charms_agents.human.samples import Samples
-from charms_agents.training import own_driving
+from charms_agents.training import rehearsal
 from charms_agents.training.curve import Epoch
 from charms_agents.training.hyperparameters import Supervised
 from charms_agents.training.network import layers_of, network_of, untrained
-from charms_agents.training.standardised import folded
+from charms_agents.training.standardisation import folded
 from charms_agents.training.supervised import (
     Fit,
     agreement,
@@ -229,13 +229,13 @@ def test_the_cross_entropy_is_that_of_the_label_and_smallest_at_its_probabilitie
 def test_own_driving_has_equally_many_episodes_in_each_place(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(own_driving, "EPISODES", 20)
+    monkeypatch.setattr(rehearsal, "EPISODES", 20)
     alone = SceneSettings(traffic_vehicles=0, ego_slots=1, duration_s=1.0)
     longer = alone.model_copy(update={"duration_s": 2.0, "lanes": 5})
     places = [(alone, OneAgent("idle")), (longer, OneAgent("idle"))]
     drivers, seen = {"idle": Idle()}, Neighbours(commands=True)
     stays = network_of([(np.zeros((5, 40), np.float32), np.eye(5, dtype=np.float32)[IDLE])])
-    found = own_driving.own_driving(stays, places, drivers, 0, seen)
+    found = rehearsal.own_driving(stays, places, drivers, 0, seen)
     # Ten episodes of 3 decisions, then ten of 6 decisions.
     assert found.shape == (10 * 3 + 10 * 6, 8, 5)
     lanes = np.rint(found[:, EGO, 2] * 12 / 4)

@@ -21,7 +21,7 @@ import onnx
 import polars as pl
 import pytest
 import torch
-from charms_agents.training import own_driving, pipeline
+from charms_agents.training import pipeline, rehearsal
 from charms_agents.training.network_file import read_network
 from charms_agents.training.schedule import _width
 from charms_agents.training.stage import Interrupted
@@ -110,7 +110,7 @@ STEPS = (0.25, 0.5, 1.0, 2.0)
 KILLED_WHILE_WRITING = """
 import os, signal, sys
 from pathlib import Path
-from charms_agents.training import pipeline
+from charms_agents.training import pipeline, rehearsal
 replace, calls = os.replace, []
 def replace_or_die(source, target):
     calls.append(target)
@@ -138,7 +138,7 @@ def finished(suite: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which one stage ran at a time, and nothing interrupted it."""
     output = tmp_path_factory.mktemp("finished")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(own_driving, "EPISODES", 60)
+        patch.setattr(rehearsal, "EPISODES", 60)
         pipeline.run(suite, output, workers=1)
     return output
 

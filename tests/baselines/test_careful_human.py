@@ -13,7 +13,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.severity import margins
 from charms_bench.errors import InputError
 from charms_bench.runs.suite import load_suite
-from charms_bench.world.points import Floats, values_at
+from charms_bench.world.parameter_points import Floats, values_at
 
 SUITE = load_suite(Path(__file__).parent.parent.parent / "suites" / "r157.yaml")
 EPISODES = 150

@@ -10,7 +10,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import DataError
 from charms_bench.people.car_following import IDM
 from charms_bench.people.population import read_population
-from charms_bench.people.suited import suited
+from charms_bench.people.suited_drivers import suited
 from charms_bench.people.trips import Trip
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.scene import Floats, SceneSettings

@@ -13,7 +13,7 @@ from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.rollouts import Futures
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
-from charms_bench.people.behind import drive_behind
+from charms_bench.people.resimulation import drive_behind
 from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.consistency import checked
@@ -27,7 +27,7 @@ from charms_bench.world.actions import (
     SLOWER,
     with_speed_steps,
 )
-from charms_bench.world.moments import scene_of
+from charms_bench.world.recorded_moments import scene_of
 from charms_bench.world.scene import Floats, Observations, SceneSettings
 
 GROWING = (0.25, 0.5, 1.0, 2.0)

@@ -25,8 +25,8 @@ from charms_bench.recording.recording import Recording
 from charms_bench.testing.parity import compare
 from charms_bench.testing.reference_engine import ENGINES
 from charms_bench.testing.straight_parity import StraightCase
-from charms_bench.world import moments
-from charms_bench.world.moments import moments_of
+from charms_bench.world import recorded_moments
+from charms_bench.world.recorded_moments import moments_of
 from charms_bench.world.scene import SceneSettings
 
 US101 = Path(__file__).parents[3] / "shared" / "data" / "us101_corrected"
@@ -37,7 +37,7 @@ UNTIL = "recorded_until_deviation"
 def scene_of(folder: Path, rows: Iterable[Row], rate: float = 10, **fields: Any) -> SceneSettings:
     write_trio(folder, rows, rate=rate)
     given = {"profile": SLOW, "simulation_hz": 30, "duration_s": 2.0, "recording": str(folder)}
-    return moments.scene_of(given | fields)
+    return recorded_moments.scene_of(given | fields)
 
 
 def simulation_of(
@@ -105,7 +105,7 @@ def test_every_vehicle_is_where_the_recording_says_at_every_frame(
 def test_every_vehicle_of_us101_is_where_the_recording_says(lanes: int) -> None:
     bounds = {"name": "naturalistic", "speed_max_mps": 60.0, "target_speed_max_mps": 60.0}
     fields = {"profile": bounds, "simulation_hz": 30, "duration_s": 1.0, "lanes": lanes}
-    settings = moments.scene_of({**fields, "recording": str(US101)})
+    settings = recorded_moments.scene_of({**fields, "recording": str(US101)})
     said, frames = {}, set()
     for path in US101.glob("*_tracks.csv"):
         rows = pl.read_csv(path)

@@ -13,7 +13,7 @@ import charms_bench
 from charms_bench.envs import ID
 from charms_bench.episodes.minari_dataset import environment_of
 from charms_bench.plugins.agent import Policy
-from charms_bench.runs import shards
+from charms_bench.runs import shard_names
 from charms_bench.runs.suite import Suite
 from charms_bench.world.actions import IDLE, Actions
 from charms_bench.world.kinematics_observation import Kinematics
@@ -44,7 +44,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> charms_bench.Run:
     folder = tmp_path_factory.mktemp("small")
     (folder / "suite.yaml").write_text(SUITE)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shards, "SHARD_EPISODES", 3)  # datasets are written in three parts
+        patch.setattr(shard_names, "SHARD_EPISODES", 3)  # datasets are written in three parts
         return charms_bench.run(folder / "suite.yaml", folder / "run", workers=1)
 
 

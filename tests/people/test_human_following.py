@@ -8,7 +8,7 @@ import pytest
 from trios import Row, driven, write_trio
 
 from charms_bench.errors import DataError
-from charms_bench.people.following import Followers, followers, lane_change_starts
+from charms_bench.people.following_samples import Followers, followers, lane_change_starts
 from charms_bench.people.situations import situations
 from charms_bench.world.recording_folder import read_folder
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from command_line import charms_bench
 
-from charms_bench.people.driven import Driven, conduct
+from charms_bench.people.driven_situations import Driven, conduct
 from charms_bench.people.in_scenes import SceneYardstick, in_scenes, scenes_in
 from charms_bench.world.scene import Floats
 

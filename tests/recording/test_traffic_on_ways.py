@@ -13,7 +13,7 @@ from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
 from charms_bench.recording.columns import DRIVER_SUMS
 from charms_bench.recording.primitives import NEAR, NOBODY, SEEN
 from charms_bench.recording.recording import Recording
-from charms_bench.roads.carrying_out import show_each
+from charms_bench.roads.agent_stepping import show_each
 from charms_bench.roads.engine import RoadEngine
 from charms_bench.roads.settings import on_road
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT

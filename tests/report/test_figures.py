@@ -22,7 +22,7 @@ from charms_bench.report.markdown import markdown
 from charms_bench.report.suite_table import KEYS, LONG, from_frame, matrices
 from charms_bench.report.table import Table, long_schema
 from charms_bench.runs.cells import TrafficCounts
-from charms_bench.world.following import BINS
+from charms_bench.world.following_bins import BINS
 
 
 def table(*rows: tuple[str, str, str, float | None]) -> Table:

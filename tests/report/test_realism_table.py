@@ -25,7 +25,7 @@ from charms_bench.report.run_files import write_table
 from charms_bench.report.table import long_schema
 from charms_bench.runs.cells import TrafficCounts
 from charms_bench.statistics.intervals import RESAMPLES, resample
-from charms_bench.world.following import BIN, BINS
+from charms_bench.world.following_bins import BIN, BINS
 
 EPISODES = 30
 UNITS = 25

@@ -8,7 +8,7 @@ from highway_env.envs.common.action import ContinuousAction, DiscreteAction
 from highway_env.vehicle.dynamics import BicycleVehicle
 
 from charms_bench.errors import InputError
-from charms_bench.roads.controls import actions_of
+from charms_bench.roads.continuous_actions import actions_of
 from charms_bench.roads.dynamics import move_with_slip
 from charms_bench.roads.scenes import VEHICLE
 

@@ -20,7 +20,7 @@ from charms_bench.roads.configuration import checked, plain
 from charms_bench.roads.defaults import DEFAULTS, MOST_STEPS, SPLIT
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.layout import Layout
-from charms_bench.roads.linear import LINEAR, TIME_HEADWAY_S
+from charms_bench.roads.linear_vehicles import LINEAR, TIME_HEADWAY_S
 from charms_bench.roads.scenes import KINDS, LANDMARK
 from charms_bench.testing.stock_roads import unchanged_idm
 from charms_bench.world.road_network import StraightLane

@@ -14,7 +14,7 @@ from run_folders import files, sign
 from charms_bench.errors import AgentError, RunFolderError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
-from charms_bench.runs import finished_run, runner, shards
+from charms_bench.runs import finished_run, runner, shard_names
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import open_finished
 from charms_bench.runs.resumable_folder import KINDS
@@ -40,7 +40,7 @@ def suite(**changes: object) -> Suite:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr(shards, "SHARD_EPISODES", 10)
+    monkeypatch.setattr(shard_names, "SHARD_EPISODES", 10)
     return
 
 

@@ -22,7 +22,7 @@ from charms_bench.report.preventable_table import crashed
 from charms_bench.report.run_files import write_table
 from charms_bench.report.suite_table import from_frame, part_of
 from charms_bench.runs.suite import load_suite
-from charms_bench.world.points import values_at
+from charms_bench.world.parameter_points import values_at
 from charms_bench.world.scene import Floats, Ints
 
 SUITE = """\

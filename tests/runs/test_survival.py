@@ -22,7 +22,7 @@ from charms_bench.foundation.files import write_bytes
 from charms_bench.runs.lock import locked
 from charms_bench.runs.resumable_folder import CHECKSUMS, KINDS, RunFolder
 from charms_bench.runs.runner import run
-from charms_bench.runs.shards import Shard
+from charms_bench.runs.shard_names import Shard
 from charms_bench.runs.suite import Suite, load_suite
 
 SMALL = {
@@ -49,10 +49,10 @@ traffic_models: [{traffic: {mixture: {human: 0.5, charms: 0.5}}}]
 """
 SMALL_SHARDS = """\
 import signal
-from charms_bench.runs import shards
+from charms_bench.runs import shard_names
 from charms_bench.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever who starts this has ignored
-shards.SHARD_EPISODES = 5
+shard_names.SHARD_EPISODES = 5
 main()
 """
 

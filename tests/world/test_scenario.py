@@ -8,8 +8,8 @@ from scipy.stats import truncnorm
 
 from charms_bench.errors import ScenarioError
 from charms_bench.foundation.formula import evaluate
+from charms_bench.world.parameter_points import count_of, values_at
 from charms_bench.world.placement import place
-from charms_bench.world.points import count_of, values_at
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import SceneSettings
 

@@ -27,7 +27,7 @@ from charms_agents.training.network import (
     untrained,
     widened,
 )
-from charms_agents.training.standardised import folded, standardise
+from charms_agents.training.standardisation import folded, standardise
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Observations
 

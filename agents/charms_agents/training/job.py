@@ -14,7 +14,7 @@ from charms_agents.human.samples import SampleStore
 from charms_agents.human.simulated import simulated_samples
 from charms_agents.training.network import untrained
 from charms_agents.training.network_file import read_network
-from charms_agents.training.own_driving import EPISODES, EXPLORATION, own_driving
+from charms_agents.training.rehearsal import EPISODES, EXPLORATION, own_driving
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.settings import (
     HumanStage,
@@ -23,7 +23,7 @@ from charms_agents.training.settings import (
     StageStyle,
     TrainingSuite,
 )
-from charms_agents.training.standardised import folded
+from charms_agents.training.standardisation import folded
 from charms_agents.training.supervised import Fit
 from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.agent import Agent, DriverModel, Policy

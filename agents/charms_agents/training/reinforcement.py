@@ -15,7 +15,7 @@ from charms_agents.training.episodes import Episodes
 from charms_agents.training.network import Arrays
 from charms_agents.training.network_file import read_network
 from charms_agents.training.settings import EPISODES_OF_A_SEED, Stage, TrainingSuite
-from charms_agents.training.standardised import unfolded
+from charms_agents.training.standardisation import unfolded
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.plugins.agent import Agent
 from charms_bench.world.scene import Observations

@@ -22,8 +22,8 @@ from charms_bench.runs.suite_roads import RoadEntry
 from charms_bench.world.action_texts import MetaActionsField
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction, with_speed_steps
 from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.moments import RecordedScene
 from charms_bench.world.observations import NamedObservation, named_observation
+from charms_bench.world.recorded_moments import RecordedScene
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import ProfileLike, SceneSettings
 

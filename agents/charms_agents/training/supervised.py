@@ -28,7 +28,7 @@ from charms_agents.human.samples import Samples
 from charms_agents.training.curve import Epoch
 from charms_agents.training.hyperparameters import Supervised
 from charms_agents.training.network import Arrays, load_state, state_arrays
-from charms_agents.training.standardised import folded, standardise, unfolded
+from charms_agents.training.standardisation import folded, standardise, unfolded
 from charms_bench.world.scene import Observations
 
 REHEARSED = 1024

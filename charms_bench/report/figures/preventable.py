@@ -14,7 +14,7 @@ from charms_bench.report.figures.drawing import panels
 from charms_bench.report.preventable_table import ONLY, crashed, kinds_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
-from charms_bench.world.points import values_at
+from charms_bench.world.parameter_points import values_at
 
 BINS = 14
 REGION = "#8cc9a1"

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from charms_bench.people.survey import Learnable, Survey
 from charms_bench.report.figures.drawing import GREY, SERIES, panels
-from charms_bench.world.following import FOLLOWING_RANGE_M
+from charms_bench.world.following_bins import FOLLOWING_RANGE_M
 
 
 def draw(found: Survey, learnable: Mapping[str, Learnable]) -> Figure:

@@ -13,11 +13,11 @@ import numpy as np
 
 from charms_bench.people.calibration import conditional, ou_noise, situation_of
 from charms_bench.people.car_following import MODELS, drive
-from charms_bench.people.driven import Driven, in_place
+from charms_bench.people.driven_situations import Driven, in_place
 from charms_bench.people.held_out import SEED
 from charms_bench.people.population import Population
-from charms_bench.people.simple import REPETITIONS
-from charms_bench.people.suited import suited
+from charms_bench.people.simple_models import REPETITIONS
+from charms_bench.people.suited_drivers import suited
 from charms_bench.people.trips import RATE_HZ, Driver, Trip
 from charms_bench.world.scene import Floats
 

@@ -7,13 +7,13 @@ import pytest
 
 from charms_bench.errors import InputError
 from charms_bench.maps.reading import read_road
-from charms_bench.roads.coming_and_going import NEAREST_M
 from charms_bench.roads.episodes import Episodes
-from charms_bench.roads.file_road import FileRoad
 from charms_bench.roads.long_drive import long_drive
 from charms_bench.roads.map_lanes import levels_of, map_of
+from charms_bench.roads.road_from_file import FileRoad
 from charms_bench.roads.scenes import IDM, OBSTACLE, place
 from charms_bench.roads.stepping import decide
+from charms_bench.roads.traffic_renewal import NEAREST_M
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
 from charms_bench.world.road import heading_at, local_coordinates, position
 

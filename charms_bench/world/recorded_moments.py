@@ -231,7 +231,7 @@ def moments_of(settings: SceneSettings) -> Moments:
     source, profile = settings.recording, settings.profile
     assert source is not None
     if not source.sha256:
-        what = "have not been read; charms_bench.world.moments.scene_of reads them"
+        what = "have not been read; charms_bench.world.recorded_moments.scene_of reads them"
         raise DataError(f"{source.folder}: the recordings {what}")
     if content_of(source.folder) != source.sha256:
         raise DataError(

@@ -20,15 +20,6 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.maps.road_map import RoadMap
-from charms_bench.roads.coming_and_going import (
-    NARROW_M,
-    Places,
-    Rule,
-    aim_at,
-    come_and_go,
-    place_all,
-    send_on,
-)
 from charms_bench.roads.fault import NO_RANK
 from charms_bench.roads.giving_way import (
     LINE_M,
@@ -42,11 +33,20 @@ from charms_bench.roads.goal_states import have_met
 from charms_bench.roads.inflow import ENTRY_M
 from charms_bench.roads.layout import Edge
 from charms_bench.roads.map_lanes import driven_lanes, indices_of, levels_of, map_of
-from charms_bench.roads.meetings import Meetings, meetings_of
 from charms_bench.roads.recorded_scenes import enter, put_recorded, recorded_on, scene_of
 from charms_bench.roads.routes import Net, Routes, routes_of
 from charms_bench.roads.scenes import IDM, OBSTACLE, Scenes
 from charms_bench.roads.task import Task
+from charms_bench.roads.traffic_renewal import (
+    NARROW_M,
+    Places,
+    Rule,
+    aim_at,
+    come_and_go,
+    place_all,
+    send_on,
+)
+from charms_bench.roads.yield_points import Meetings, meetings_of
 from charms_bench.world.named_road import DRAWN
 from charms_bench.world.road import local_coordinates, width_at
 from charms_bench.world.scene import Vehicles

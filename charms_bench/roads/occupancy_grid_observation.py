@@ -7,7 +7,7 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.roads.kinematics import COS_D, X, Y, describe, describe_way
+from charms_bench.roads.kinematics_observation import COS_D, X, Y, describe, describe_way
 from charms_bench.roads.scenes import OBSTACLE, Row, Scenes
 from charms_bench.world.kinematics_observation import FEATURES
 from charms_bench.world.lane_geometry import CIRCULAR, STRAIGHT, line_coordinates, line_position

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.locating import forget
-from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     FEW_VEHICLES,
     IDM,
@@ -25,6 +24,7 @@ from charms_bench.roads.scenes import (
     place,
 )
 from charms_bench.roads.stepping import collide, collide_pair, vehicle_of
+from charms_bench.roads.vehicle_order import neighbours
 from charms_bench.world.profile import HIGHWAY_ENV
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M, is_on_lane, local_coordinates, position
 from charms_bench.world.road_network import Network, SineLane, StraightLane, network_of

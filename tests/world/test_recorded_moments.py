@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from trios import Row, driven, flowing_road, write_trio
 
 from charms_bench.errors import DataError
-from charms_bench.world.moments import moments_of, scene_of
+from charms_bench.world.recorded_moments import moments_of, scene_of
 from charms_bench.world.scene import SceneSettings
 
 SLOW = {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0}

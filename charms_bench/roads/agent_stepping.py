@@ -13,7 +13,7 @@ from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.locating import forget, locate
 from charms_bench.roads.looking_ahead import look_ahead
-from charms_bench.roads.right_of_way import enforce
+from charms_bench.roads.regulated_road import enforce
 from charms_bench.roads.safe_gap import is_safe
 from charms_bench.roads.scenes import Here, Row, Scenes, here_of, lane_of, vehicle_of, way_of
 from charms_bench.roads.stepping import collide, move_all

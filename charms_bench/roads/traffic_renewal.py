@@ -1,6 +1,6 @@
 """How vehicles on a road in a file appear, find their ways, leave and come back, compiled.
 
-`file_road` says by which rules.
+`road_from_file` says by which rules.
 """
 
 import math

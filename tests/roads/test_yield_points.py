@@ -10,10 +10,10 @@ import pytest
 
 from charms_bench.maps.reading import read_road
 from charms_bench.roads.episodes import Episodes
-from charms_bench.roads.file_road import FileRoad
-from charms_bench.roads.meetings import Meetings, meetings_of
+from charms_bench.roads.road_from_file import FileRoad
 from charms_bench.roads.scenes import IDM, place
 from charms_bench.roads.stepping import decide
+from charms_bench.roads.yield_points import Meetings, meetings_of
 from charms_bench.world.named_road import FILE_ROAD, NamedRoad
 
 NOBODY = np.zeros((1, 0), dtype=np.int64)

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 from charms_agents.training.network import layers_of, untrained
-from charms_agents.training.standardised import FACTORS, folded, standardise, unfolded
+from charms_agents.training.standardisation import FACTORS, folded, standardise, unfolded
 from handmade_scene import simulation_of
 
 from charms_bench.world.observations import COMMANDS, Neighbours, neighbours
