@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from charms_bench.errors import InputError as InputError
     from charms_bench.errors import ModelError as ModelError
     from charms_bench.foundation.compiled import compiled as compiled
+    from charms_bench.humans.reference import references as references
     from charms_bench.maps.reading import read_road as read_road
     from charms_bench.maps.road_file import write_road as write_road
     from charms_bench.maps.road_map import RoadMap as RoadMap
     from charms_bench.metrics import Metric as Metric
     from charms_bench.metrics import MetricSet as MetricSet
     from charms_bench.metrics.metric import ratio as ratio
-    from charms_bench.people.reference import references as references
     from charms_bench.plugins.agent import DriverModel as DriverModel
     from charms_bench.plugins.agent import Policy as Policy
     from charms_bench.plugins.event import Event as Event
@@ -92,7 +92,7 @@ _NAMES = {
     "maps.road_map": "RoadMap",
     "metrics": "Metric MetricSet",
     "metrics.metric": "ratio",
-    "people.reference": "references",
+    "humans.reference": "references",
     "plugins.agent": "DriverModel Policy",
     "plugins.event": "Event",
     "plugins.registry": "make_agent make_traffic",

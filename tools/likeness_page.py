@@ -11,7 +11,7 @@ from pathlib import Path
 
 from result_pages import ROOT, keep
 
-from charms_bench.people.population import read_population
+from charms_bench.humans.population import read_population
 from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.likeness import draw
 from charms_bench.report.likeness_table import controls_table, likeness_tables

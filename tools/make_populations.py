@@ -9,10 +9,10 @@ vehicles of I-75, because half of them have fewer than ten to open lanes.
 import sys
 from pathlib import Path
 
-from charms_bench.people.calibrated import calibrate
-from charms_bench.people.lane_choices import fit_choices, read_choices
-from charms_bench.people.reference import references
-from charms_bench.people.trips import read_trips
+from charms_bench.humans.calibrated import calibrate
+from charms_bench.humans.lane_choices import fit_choices, read_choices
+from charms_bench.humans.reference import references
+from charms_bench.humans.trips import read_trips
 
 FILES = {"i24": "i24_car_following.parquet", "i75": "i75_lane_trajectories.parquet"}
 ORIGINS = {

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import polars as pl
 
-from charms_bench.people.following_samples import DECISION_HZ
-from charms_bench.people.reference import (
+from charms_bench.humans.following_samples import DECISION_HZ
+from charms_bench.humans.reference import (
     DHW,
     REFERENCES,
     SPEED,
@@ -18,7 +18,7 @@ from charms_bench.people.reference import (
     from_recordings,
     histograms,
 )
-from charms_bench.people.situations import nearest_to_decisions
+from charms_bench.humans.situations import nearest_to_decisions
 from charms_bench.world.following_bins import FOLLOWING_RANGE_M
 from charms_bench.world.trajectories import STAY_S
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from charms_bench.humans.reference import ReferenceSpec
 from charms_bench.maps import road_file
-from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.suite import EgoEntry, Suite, TrafficEntry
 from charms_bench.runs.suite_roads import RoadEntry

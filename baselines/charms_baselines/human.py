@@ -14,20 +14,20 @@ from charms_bench.errors import InputError
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled_of_scenes, index, inlined
 from charms_bench.foundation.philox import uniforms
-from charms_bench.people import car_following, suited_drivers
-from charms_bench.people import population as populations
-from charms_bench.people.car_following import BRAKING_LIMIT_MPS2, idm
-from charms_bench.people.population import Population, read_population
-from charms_bench.people.suited_drivers import DEVIATION_MPS2, TRIES
+from charms_bench.humans import car_following, suited_drivers
+from charms_bench.humans import population as populations
+from charms_bench.humans.car_following import BRAKING_LIMIT_MPS2, idm
+from charms_bench.humans.population import Population, read_population
+from charms_bench.humans.suited_drivers import DEVIATION_MPS2, TRIES
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.road import distance_along, is_reachable, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 CONSIDERS_EVERY_S = 1.0
-"""Time between two choices of a lane; `people.lane_choices` fits choices at this interval."""
+"""Time between two choices of a lane; `humans.lane_choices` fits choices at this interval."""
 SLOWEST_MPS = 3.0
-"""Of the speed on which a driver's parameters depend, as in `people.calibration`."""
+"""Of the speed on which a driver's parameters depend, as in `humans.calibration`."""
 SHORTEST_M, LONGEST_M = 1.0, 100.0
 """Gaps of the trips that populations are fitted to; a leader further ahead does not count."""
 DRIVEN, FELT, NOISE, CLOCK, FIRST = range(5)
@@ -69,7 +69,7 @@ class Human(DriverModel):
 
     Each driver has own parameters, which are correlated with each other, with the speed that the
     driver wants when the episode starts, and with the time gap to the leader at that time. Drivers
-    who would brake or accelerate hard at once are drawn again; see `people.suited_drivers`. Then
+    who would brake or accelerate hard at once are drawn again; see `humans.suited_drivers`. Then
     the parameters that end in `_quantile` are those of the first driver drawn. The acceleration
     follows IDM's with a lag, and correlated noise is added.
 
@@ -255,7 +255,7 @@ def _normal(quantile: float) -> float:
 def _weighed(scene: Scene, b: int, i: int, leader: int, median: Floats, d: _Driving) -> float:
     """The acceleration of the median driver, with which lanes are weighed, in vehicle i's place.
 
-    The desired speed is at least the vehicle's speed, as in `people.lane_choices`.
+    The desired speed is at least the vehicle's speed, as in `humans.lane_choices`.
     """
     median[0] = max(d.median[0], scene.speed[b, i])
     return _behind(scene, b, i, leader, median)

@@ -10,7 +10,7 @@ from charms_bench.api.warming import note_roads, warm_up
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.progress import note, progress
-from charms_bench.people.reference import read_references
+from charms_bench.humans.reference import read_references
 from charms_bench.plugins.specs import agents_of
 from charms_bench.runs import runner
 from charms_bench.runs.cells import CellRows

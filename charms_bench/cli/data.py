@@ -32,7 +32,7 @@ def data(
 ) -> None:
     """Summarise recordings of human driving."""
     from charms_bench.foundation.progress import progress
-    from charms_bench.people.survey import OFF_CENTRE_M, survey
+    from charms_bench.humans.survey import OFF_CENTRE_M, survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.recordings import draw
@@ -75,7 +75,7 @@ def _print_trips(path: Path, as_json: bool) -> None:
     """What `calibrate` reads in a table."""
     import numpy as np
 
-    from charms_bench.people.trips import RATE_HZ, read_trips
+    from charms_bench.humans.trips import RATE_HZ, read_trips
     from charms_bench.world.gaps import time_headway
 
     trips = read_trips(path)
@@ -151,10 +151,10 @@ def calibrate(
 ) -> None:
     """Fit drivers to recordings, and predict held-out drivers."""
     from charms_bench.foundation.progress import note
-    from charms_bench.people.calibrated import calibrate as calibrated
-    from charms_bench.people.held_out import HORIZONS_S
-    from charms_bench.people.lane_choices import FEWEST_CHANGES, fit_choices, read_choices
-    from charms_bench.people.trips import read_trips
+    from charms_bench.humans.calibrated import calibrate as calibrated
+    from charms_bench.humans.held_out import HORIZONS_S
+    from charms_bench.humans.lane_choices import FEWEST_CHANGES, fit_choices, read_choices
+    from charms_bench.humans.trips import read_trips
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.predictive import draw
 
@@ -232,8 +232,8 @@ def likeness(
 ) -> None:
     """Score how much egos and traffic drive like recorded drivers."""
     from charms_bench.foundation.progress import note
-    from charms_bench.people.in_scenes import scenes_in
-    from charms_bench.people.population import read_population
+    from charms_bench.humans.in_scenes import scenes_in
+    from charms_bench.humans.population import read_population
     from charms_bench.report.figures.drawing import save
     from charms_bench.report.figures.likeness import draw
     from charms_bench.report.likeness_table import basis_of, likeness_tables

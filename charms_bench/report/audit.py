@@ -11,8 +11,8 @@ import polars as pl
 from charms_bench.errors import CharmsBenchError, RegistryError, RunFolderError
 from charms_bench.foundation.files import is_compressed, read_file
 from charms_bench.foundation.words import counted
+from charms_bench.humans.reference import Reference, read_references
 from charms_bench.metrics import SCENARIOS, MetricSet
-from charms_bench.people.reference import Reference, read_references
 from charms_bench.report import run_files
 from charms_bench.report.stored import SUMS, TABLE_LIMIT_BYTES, read_table
 from charms_bench.report.suite_table import KEYS, LONG, matrices

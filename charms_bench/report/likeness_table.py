@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from charms_bench.foundation.words import counted
-from charms_bench.people.likeness import COMPONENTS, SMALLEST_STRATUM_S, Score
+from charms_bench.humans.likeness import COMPONENTS, SMALLEST_STRATUM_S, Score
 from charms_bench.report.table import Table
 from charms_bench.runs.likeness import RECORDED_DRIVER, InScenes, Likeness
 
@@ -21,7 +21,7 @@ CONDUCT = {
     "lane_changes_per_km": ("lane changes per km", ".2f"),
     "undone_lane_changes": ("undone within 5 s", ".1%"),
 }
-"""The heading and the format of each number of `people.driven_situations.conduct`."""
+"""The heading and the format of each number of `humans.driven_situations.conduct`."""
 _SCORES = {name: name.replace("_", " ") for name in (*COMPONENTS, "total")}
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from charms_bench.people.reference import Reference
+from charms_bench.humans.reference import Reference
 from charms_bench.report.number import Number
 from charms_bench.report.table import ESTIMATE, Column, Table, long_frame
 from charms_bench.runs.cells import TrafficCounts

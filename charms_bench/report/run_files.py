@@ -9,8 +9,8 @@ import polars as pl
 
 from charms_bench.foundation.files import write_bytes
 from charms_bench.foundation.spreadsheets import in_csv
+from charms_bench.humans.reference import Reference
 from charms_bench.metrics import MetricSet
-from charms_bench.people.reference import Reference
 from charms_bench.report import drivers_table, suite_table
 from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.heat_map import draw_matrices

@@ -9,32 +9,32 @@ import numpy as np
 
 from charms_bench.errors import DataError, InputError
 from charms_bench.foundation.words import counted
-from charms_bench.people.blind_lanes import BlindLanes
-from charms_bench.people.calibration import ou_noise, own_parameters
-from charms_bench.people.car_following import IDM, MODELS, drive
-from charms_bench.people.driven_situations import Driven, conduct, in_place, recorded
-from charms_bench.people.faulty_drivers import CALIBRATED, controls
-from charms_bench.people.held_out import SEED, profile_idm, scales_of, starts
-from charms_bench.people.in_scenes import (
+from charms_bench.humans.blind_lanes import BlindLanes
+from charms_bench.humans.calibration import ou_noise, own_parameters
+from charms_bench.humans.car_following import IDM, MODELS, drive
+from charms_bench.humans.driven_situations import Driven, conduct, in_place, recorded
+from charms_bench.humans.faulty_drivers import CALIBRATED, controls
+from charms_bench.humans.held_out import SEED, profile_idm, scales_of, starts
+from charms_bench.humans.in_scenes import (
     AsRecorded,
     ConstantSpeed,
     SceneYardstick,
     drive_in_scene,
     in_scenes,
 )
-from charms_bench.people.lane_choices import read_lane_counts
-from charms_bench.people.likeness import Score, Yardstick
-from charms_bench.people.population import Population
-from charms_bench.people.resimulation import (
+from charms_bench.humans.lane_choices import read_lane_counts
+from charms_bench.humans.likeness import Score, Yardstick
+from charms_bench.humans.population import Population
+from charms_bench.humans.resimulation import (
     FEWEST_DRIVERS,
     count_lanes,
     drive_behind,
     fitting,
     speeds_of,
 )
-from charms_bench.people.simple_models import REPETITIONS, constant_time_gap, nearest_neighbours
-from charms_bench.people.trips import RATE_HZ, Trip, read_trips, split
-from charms_bench.people.unseen_situations import unseen
+from charms_bench.humans.simple_models import REPETITIONS, constant_time_gap, nearest_neighbours
+from charms_bench.humans.trips import RATE_HZ, Trip, read_trips, split
+from charms_bench.humans.unseen_situations import unseen
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.specs import agents_of
 from charms_bench.plugins.traffic import OneAgent, Traffic
@@ -73,7 +73,7 @@ class Likeness:
     label: str
     scores: dict[str, Score]
     conduct: dict[str, float | None]
-    """What the driver did, in numbers; see `people.driven_situations`."""
+    """What the driver did, in numbers; see `humans.driven_situations`."""
     differences: dict[str, Score] | None = None
     """How much higher a control scores than the calibrated driver."""
 

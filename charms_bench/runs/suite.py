@@ -22,8 +22,8 @@ from charms_bench.foundation.fields import (
 )
 from charms_bench.foundation.names import alike
 from charms_bench.foundation.words import counted
+from charms_bench.humans.reference import ReferenceSpec
 from charms_bench.metrics import PAPER, ROADS, SCENARIOS, WARM_UP_S, MetricSet, standard_after
-from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.registry import AGENTS, find, is_network, make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec

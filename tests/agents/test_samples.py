@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from trios import Row, busy_road, write_trio
 
 from charms_bench.errors import DataError
-from charms_bench.people.survey import survey
+from charms_bench.humans.survey import survey
 from charms_bench.world.observations import COMMANDS, Neighbours
 from charms_bench.world.recording_folder import find_trios
 

@@ -110,7 +110,7 @@ STEPS = (0.25, 0.5, 1.0, 2.0)
 KILLED_WHILE_WRITING = """
 import os, signal, sys
 from pathlib import Path
-from charms_agents.training import pipeline, rehearsal
+from charms_agents.training import pipeline
 replace, calls = os.replace, []
 def replace_or_die(source, target):
     calls.append(target)

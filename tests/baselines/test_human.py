@@ -8,10 +8,10 @@ from scipy import stats
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import DataError
-from charms_bench.people.car_following import IDM
-from charms_bench.people.population import read_population
-from charms_bench.people.suited_drivers import suited
-from charms_bench.people.trips import Trip
+from charms_bench.humans.car_following import IDM
+from charms_bench.humans.population import read_population
+from charms_bench.humans.suited_drivers import suited
+from charms_bench.humans.trips import Trip
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.scene import Floats, SceneSettings
 

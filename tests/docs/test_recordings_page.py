@@ -9,7 +9,7 @@ from charms_baselines.human import Human
 from plugin_folder import installed
 from written import ROOT, blocks
 
-from charms_bench.people.population import POPULATIONS
+from charms_bench.humans.population import POPULATIONS
 from charms_bench.plugins.registry import make_agent, make_traffic
 
 

@@ -13,8 +13,8 @@ from charms_bench.engine.batched import BatchedEngine
 from charms_bench.engine.rollouts import Futures
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
-from charms_bench.people.resimulation import drive_behind
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.humans.resimulation import drive_behind
+from charms_bench.humans.trips import RATE_HZ, Trip
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.consistency import checked
 from charms_bench.plugins.registry import make_agent

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.distance import jensenshannon
 
-from charms_bench.people.reference import Reference
+from charms_bench.humans.reference import Reference
 from charms_bench.recording.columns import COUNT_SCHEMA
 from charms_bench.report.realism_table import (
     FLOOR,

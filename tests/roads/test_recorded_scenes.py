@@ -13,8 +13,8 @@ from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import made_traffic
 from charms_bench.errors import InputError, MapError
+from charms_bench.humans.in_scenes import AsRecorded, drive_in_scene
 from charms_bench.maps.commonroad_scene import read_scene
-from charms_bench.people.in_scenes import AsRecorded, drive_in_scene
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.roads.engine import RoadEngine

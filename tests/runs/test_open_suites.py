@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from charms_bench.api.evaluation import run as run_file
 from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.errors import InputError
-from charms_bench.people.population import read_population
+from charms_bench.humans.population import read_population
 from charms_bench.runs.likeness import standard
 from charms_bench.runs.suite import Suite
 from charms_bench.world.scene import SceneSettings

@@ -28,8 +28,8 @@ from charms_bench.engine.collision_kinds import (
 )
 from charms_bench.engine.collision_kinds import SIDE_COLLISION as SIDE
 from charms_bench.errors import InputError, RunFolderError, SuiteError
+from charms_bench.humans.population import read_population
 from charms_bench.metrics import ROADS
-from charms_bench.people.population import read_population
 from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.settings import on_road, reject_of_straight_roads
 from charms_bench.runs.likeness import standard

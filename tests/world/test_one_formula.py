@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scenes import scene_of
 
 from charms_bench.foundation.compiled import compiled
+from charms_bench.humans import car_following
 from charms_bench.metrics import time_to_collision as of_columns
-from charms_bench.people import car_following
 from charms_bench.world.gaps import (
     is_within,
     required_braking,

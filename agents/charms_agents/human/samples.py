@@ -33,8 +33,8 @@ from charms_agents.human.soft_labels import (
 from charms_bench.errors import DataError
 from charms_bench.foundation.fields import UNLESS_EMPTY, FrozenModel, NonNegative, Positive
 from charms_bench.foundation.files import read_limited, write_bytes
-from charms_bench.people.situations import LANES, situations
-from charms_bench.people.survey import Learnable
+from charms_bench.humans.situations import LANES, situations
+from charms_bench.humans.survey import Learnable
 from charms_bench.world.action_texts import described_actions
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 from charms_bench.world.csv_table import ROW_LIMIT, SIZE_LIMIT_BYTES

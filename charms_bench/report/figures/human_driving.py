@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from charms_bench.people.reference import Reference
+from charms_bench.humans.reference import Reference
 from charms_bench.report.figures.drawing import EDGE, GREY, panels, series
 from charms_bench.report.realism_table import COARSE_BIN, TITLE, coarse
 from charms_bench.runs.cells import TrafficCounts

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from charms_bench.people.likeness import COMPONENTS
+from charms_bench.humans.likeness import COMPONENTS
 from charms_bench.report.figures.drawing import EDGE, MARKERS, SERIES, panels
 from charms_bench.runs.likeness import Likeness
 

@@ -3,9 +3,9 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from charms_bench.people.calibrated import Calibration
-from charms_bench.people.held_out import HORIZONS_S, SEED, drawn, starts
-from charms_bench.people.trips import RATE_HZ
+from charms_bench.humans.calibrated import Calibration
+from charms_bench.humans.held_out import HORIZONS_S, SEED, drawn, starts
+from charms_bench.humans.trips import RATE_HZ
 from charms_bench.report.figures.drawing import GREY, LINE_STYLES, SERIES, panels
 from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from charms_bench.people.survey import Learnable, Survey
+from charms_bench.humans.survey import Learnable, Survey
 from charms_bench.report.figures.drawing import GREY, SERIES, panels
 from charms_bench.world.following_bins import FOLLOWING_RANGE_M
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from charms_bench.episodes.what_if import WhatIf
 from charms_bench.foundation.words import counted
-from charms_bench.people.reference import read_references
+from charms_bench.humans.reference import read_references
 from charms_bench.report.figures.heat_map import draw_matrices, reading
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
 from charms_bench.report.figures.learning import draw_curves

@@ -7,9 +7,9 @@ from rows.case import Cases, Values, adding_to
 from rows.hashing import Digests
 from rows.recording import write_recording
 
-from charms_bench.people.car_following import MODELS, drive
-from charms_bench.people.lane_choices import read_choices
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.humans.car_following import MODELS, drive
+from charms_bench.humans.lane_choices import read_choices
+from charms_bench.humans.trips import RATE_HZ, Trip
 
 CASES: Cases = {}
 case = adding_to(CASES)

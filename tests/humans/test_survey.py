@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from charms_bench.cli import app
 from charms_bench.errors import DataError, InputError
-from charms_bench.people.survey import Learnable, Survey, survey
+from charms_bench.humans.survey import Learnable, Survey, survey
 from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.recordings import draw
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from command_line import charms_bench
 
-from charms_bench.people.driven_situations import Driven, conduct
-from charms_bench.people.in_scenes import SceneYardstick, in_scenes, scenes_in
+from charms_bench.humans.driven_situations import Driven, conduct
+from charms_bench.humans.in_scenes import SceneYardstick, in_scenes, scenes_in
 from charms_bench.world.scene import Floats
 
 SCENES, EGOS = 24, 6

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from charms_bench.people.held_out import SEED
-from charms_bench.people.simple_models import keeping
+from charms_bench.humans.held_out import SEED
+from charms_bench.humans.simple_models import keeping
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles

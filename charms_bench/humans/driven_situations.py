@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from charms_bench.people.held_out import SEED
-from charms_bench.people.trips import RATE_HZ, Driver, Trip
+from charms_bench.humans.held_out import SEED
+from charms_bench.humans.trips import RATE_HZ, Driver, Trip
 from charms_bench.world.gaps import is_within, time_headway
 from charms_bench.world.scene import Bools, Floats, Ints
 

@@ -8,7 +8,7 @@ import pytest
 from trios import Row, write_trio
 
 from charms_bench.errors import DataError
-from charms_bench.people.reference import (
+from charms_bench.humans.reference import (
     REFERENCES,
     Reference,
     ReferenceSpec,

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charms_bench.people.held_out import starts
-from charms_bench.people.trips import read_trips, split
+from charms_bench.humans.held_out import starts
+from charms_bench.humans.trips import read_trips, split
 from charms_bench.world.scene import Floats
 
 DATA = Path(__file__).parents[2] / "../shared/data"

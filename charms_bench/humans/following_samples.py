@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from charms_bench.people.situations import at_decisions
+from charms_bench.humans.situations import at_decisions
 from charms_bench.world.following_bins import FOLLOWING_RANGE_M
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M
 from charms_bench.world.scene import Floats, Ints

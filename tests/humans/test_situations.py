@@ -11,7 +11,7 @@ from trios import Row, driven, write_trio
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import DataError
-from charms_bench.people.situations import nearest_to_decisions, situations
+from charms_bench.humans.situations import nearest_to_decisions, situations
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.observations import COMMANDS, Neighbours, neighbours
 from charms_bench.world.recording_folder import read_folder

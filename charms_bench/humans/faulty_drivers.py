@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from charms_bench.people.calibration import conditional, ou_noise, situation_of
-from charms_bench.people.car_following import MODELS, drive
-from charms_bench.people.driven_situations import Driven, in_place
-from charms_bench.people.held_out import SEED
-from charms_bench.people.population import Population
-from charms_bench.people.simple_models import REPETITIONS
-from charms_bench.people.suited_drivers import suited
-from charms_bench.people.trips import RATE_HZ, Driver, Trip
+from charms_bench.humans.calibration import conditional, ou_noise, situation_of
+from charms_bench.humans.car_following import MODELS, drive
+from charms_bench.humans.driven_situations import Driven, in_place
+from charms_bench.humans.held_out import SEED
+from charms_bench.humans.population import Population
+from charms_bench.humans.simple_models import REPETITIONS
+from charms_bench.humans.suited_drivers import suited
+from charms_bench.humans.trips import RATE_HZ, Driver, Trip
 from charms_bench.world.scene import Floats
 
 CALIBRATED = "calibrated driver"

@@ -10,9 +10,9 @@ from functools import partial
 
 import numpy as np
 
-from charms_bench.people.calibration import ou_noise
-from charms_bench.people.population import Population
-from charms_bench.people.trips import RATE_HZ, Driver, Trip
+from charms_bench.humans.calibration import ou_noise
+from charms_bench.humans.population import Population
+from charms_bench.humans.trips import RATE_HZ, Driver, Trip
 from charms_bench.world.gaps import time_headway
 from charms_bench.world.scene import Floats
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from charms_bench.errors import DataError
-from charms_bench.people.calibration import SITUATION, Fit, best_lag, noise_of, of_drivers, pooled
-from charms_bench.people.car_following import MODELS
-from charms_bench.people.held_out import (
+from charms_bench.humans.calibration import SITUATION, Fit, best_lag, noise_of, of_drivers, pooled
+from charms_bench.humans.car_following import MODELS
+from charms_bench.humans.held_out import (
     HORIZONS_S,
     drawn,
     energy_scores,
@@ -18,8 +18,8 @@ from charms_bench.people.held_out import (
     scales_of,
     the_same,
 )
-from charms_bench.people.population import LaneChanges, Population
-from charms_bench.people.trips import SPLIT_SEED, Driver, Trip, split
+from charms_bench.humans.population import LaneChanges, Population
+from charms_bench.humans.trips import SPLIT_SEED, Driver, Trip, split
 from charms_bench.world.scene import Floats
 
 FEWEST_DRIVERS = 8

@@ -8,8 +8,8 @@ import pytest
 from trios import Row, driven, write_trio
 
 from charms_bench.errors import DataError
-from charms_bench.people.following_samples import Followers, followers, lane_change_starts
-from charms_bench.people.situations import situations
+from charms_bench.humans.following_samples import Followers, followers, lane_change_starts
+from charms_bench.humans.situations import situations
 from charms_bench.world.recording_folder import read_folder
 
 US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from charms_bench.engine.simulation import Simulation
+from charms_bench.humans.blind_lanes import BlindLanes
+from charms_bench.humans.resimulation import count_lanes
 from charms_bench.metrics import standard, sums_by_episode
-from charms_bench.people.blind_lanes import BlindLanes
-from charms_bench.people.resimulation import count_lanes
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.recording.recording import Recording

@@ -9,8 +9,8 @@ from pydantic import Field, model_validator
 
 from charms_bench.errors import suggestion
 from charms_bench.foundation.fields import FilePath, FrozenModel, Name
-from charms_bench.people.following_samples import DECISION_HZ, LANE_CHANGE_SPEED_MPS, followers
-from charms_bench.people.population import Artefact
+from charms_bench.humans.following_samples import DECISION_HZ, LANE_CHANGE_SPEED_MPS, followers
+from charms_bench.humans.population import Artefact
 from charms_bench.world.following_bins import BIN, BINS, FOLLOWING_RANGE_M, bins_of
 from charms_bench.world.recording_folder import read_folder
 from charms_bench.world.scene import Floats, Ints

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from charms_bench.foundation.compiled import compiled, inlined
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.humans.trips import RATE_HZ, Trip
 from charms_bench.world.scene import Floats
 
 BRAKING_LIMIT_MPS2 = 9.0

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from charms_bench.people.car_following import IDM
-from charms_bench.people.suited_drivers import DEVIATION_MPS2, TRIES, first_accelerations, suited
-from charms_bench.people.trips import Trip
+from charms_bench.humans.car_following import IDM
+from charms_bench.humans.suited_drivers import DEVIATION_MPS2, TRIES, first_accelerations, suited
+from charms_bench.humans.trips import Trip
 
 FREE = Trip(0, np.full(2, 1e9), np.full(2, 25.0), np.full(2, 1e9), np.full(2, 25.0))
 """Nobody ahead, so that the first acceleration is a (1 - (v / v0)^4)."""

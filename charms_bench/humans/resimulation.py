@@ -7,9 +7,9 @@ import numpy as np
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import DataError
+from charms_bench.humans.driven_situations import Driven
+from charms_bench.humans.trips import RATE_HZ, Trip
 from charms_bench.metrics.rows import UNDONE_WITHIN_S
-from charms_bench.people.driven_situations import Driven
-from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.world.profile import Profile

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from charms_bench.people.held_out import SEED
-from charms_bench.people.trips import GAPS_M, RATE_HZ, Trip
+from charms_bench.humans.held_out import SEED
+from charms_bench.humans.trips import GAPS_M, RATE_HZ, Trip
 from charms_bench.world.scene import Floats
 
 GAP_CHANGE = 0.1

@@ -22,13 +22,13 @@ from functools import cache
 
 import numpy as np
 
-from charms_bench.people.driven_situations import (
+from charms_bench.humans.driven_situations import (
     HARD_BRAKING_MPS2,
     SHORT_HEADWAY_S,
     Driven,
     reversals,
 )
-from charms_bench.people.held_out import HORIZONS_S, SEED
+from charms_bench.humans.held_out import HORIZONS_S, SEED
 from charms_bench.statistics.energy_score import energy_score
 from charms_bench.world.gaps import is_within, time_headway
 from charms_bench.world.scene import Bools, Floats, Ints

@@ -19,11 +19,11 @@ import polars as pl
 from scipy.special import expit
 
 from charms_bench.foundation.compiled import compiled
+from charms_bench.humans.calibration import of_drivers
+from charms_bench.humans.car_following import idm
+from charms_bench.humans.population import LaneChanges
+from charms_bench.humans.trips import CAR_LENGTH_M, I75_MAIN_LANES, RATE_HZ, Trip, numbered_through
 from charms_bench.metrics.rows import UNDONE_WITHIN_S
-from charms_bench.people.calibration import of_drivers
-from charms_bench.people.car_following import idm
-from charms_bench.people.population import LaneChanges
-from charms_bench.people.trips import CAR_LENGTH_M, I75_MAIN_LANES, RATE_HZ, Trip, numbered_through
 from charms_bench.world.csv_table import read_parquet
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints

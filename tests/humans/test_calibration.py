@@ -12,12 +12,12 @@ from scipy import stats
 from scipy.special import expit
 
 from charms_bench.errors import DataError
-from charms_bench.people.calibration import fit_population, noise_of, ou_noise, situation_of
-from charms_bench.people.car_following import FVDM, IDM, drive
-from charms_bench.people.held_out import drawn, ratio_interval, starts
-from charms_bench.people.lane_choices import Choices, fit_choices, read_choices
-from charms_bench.people.population import LaneChanges
-from charms_bench.people.trips import RATE_HZ, Trip, read_trips, split
+from charms_bench.humans.calibration import fit_population, noise_of, ou_noise, situation_of
+from charms_bench.humans.car_following import FVDM, IDM, drive
+from charms_bench.humans.held_out import drawn, ratio_interval, starts
+from charms_bench.humans.lane_choices import Choices, fit_choices, read_choices
+from charms_bench.humans.population import LaneChanges
+from charms_bench.humans.trips import RATE_HZ, Trip, read_trips, split
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 

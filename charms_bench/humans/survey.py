@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import polars as pl
 
 from charms_bench.errors import DataError
-from charms_bench.people.following_samples import DECISION_HZ
-from charms_bench.people.situations import situations
+from charms_bench.humans.following_samples import DECISION_HZ
+from charms_bench.humans.situations import situations
 from charms_bench.world.recording_folder import find_trios, read_recording
 from charms_bench.world.scene import Observations
 from charms_bench.world.trajectories import LANE_WIDTH_M, Recording

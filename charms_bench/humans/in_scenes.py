@@ -1,7 +1,7 @@
 """How much a driver is like recorded drivers in recorded scenes on their own roads.
 
 A driver takes the places of recorded drivers for as long as their scenes last. The components are
-those of `people.likeness`, with three differences, because scenes last seconds: the closed loop
+those of `humans.likeness`, with three differences, because scenes last seconds: the closed loop
 compares place and speed after 1, 2, 4 and 8 s, and 1 is the recording itself; drivers are not put
 into situations that no recording has; and lane changes are not counted. Halves are halves of the
 scenes, and 0 is constant speed along the way.
@@ -14,9 +14,9 @@ import numpy as np
 
 from charms_bench.engine.endings import RUNNING, TIME
 from charms_bench.engine.simulation import Simulation
-from charms_bench.people.driven_situations import Driven
-from charms_bench.people.likeness import Score, Yardstick
-from charms_bench.people.resimulation import FEWEST_DRIVERS, REPETITIONS
+from charms_bench.humans.driven_situations import Driven
+from charms_bench.humans.likeness import Score, Yardstick
+from charms_bench.humans.resimulation import FEWEST_DRIVERS, REPETITIONS
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.roads.engine import RoadEngine

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from charms_bench.people.calibration import Fit, of_drivers, ou_noise, situation_of
-from charms_bench.people.car_following import IDM, drive
-from charms_bench.people.trips import RATE_HZ, Driver, Trip
+from charms_bench.humans.calibration import Fit, of_drivers, ou_noise, situation_of
+from charms_bench.humans.car_following import IDM, drive
+from charms_bench.humans.trips import RATE_HZ, Driver, Trip
 from charms_bench.statistics.energy_score import energy_score
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Floats

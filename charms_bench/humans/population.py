@@ -30,7 +30,7 @@ class Artefact(FrozenModel):
 
 
 class LaneChanges(FrozenModel):
-    """When drivers change lanes; see `people.lane_choices`."""
+    """When drivers change lanes; see `humans.lane_choices`."""
 
     threshold_mps2: Finite
     scale_mps2: Positive

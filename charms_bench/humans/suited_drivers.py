@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from charms_bench.people.car_following import Model, drive
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.humans.car_following import Model, drive
+from charms_bench.humans.trips import RATE_HZ, Trip
 from charms_bench.world.scene import Floats
 
 TRIES = 8

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from charms_bench.people.car_following import LEAST_GAP_M, MODELS, Model, drive
-from charms_bench.people.population import Population
-from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.humans.car_following import LEAST_GAP_M, MODELS, Model, drive
+from charms_bench.humans.population import Population
+from charms_bench.humans.trips import RATE_HZ, Trip
 from charms_bench.world.scene import Bools, Floats
 
 ITERATIONS = 15

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from charms_bench.people.calibration import ou_noise
-from charms_bench.people.car_following import IDM, drive
-from charms_bench.people.driven_situations import Driven, conduct, in_place, recorded
-from charms_bench.people.faulty_drivers import CALIBRATED, calibrated, controls
-from charms_bench.people.held_out import scales_of, starts
-from charms_bench.people.likeness import EVENTS, Yardstick, _jackknifed, _rates, _Sums
-from charms_bench.people.population import read_population
-from charms_bench.people.simple_models import Driver, constant_time_gap, nearest_neighbours
-from charms_bench.people.trips import RATE_HZ, Trip
-from charms_bench.people.unseen_situations import unseen
+from charms_bench.humans.calibration import ou_noise
+from charms_bench.humans.car_following import IDM, drive
+from charms_bench.humans.driven_situations import Driven, conduct, in_place, recorded
+from charms_bench.humans.faulty_drivers import CALIBRATED, calibrated, controls
+from charms_bench.humans.held_out import scales_of, starts
+from charms_bench.humans.likeness import EVENTS, Yardstick, _jackknifed, _rates, _Sums
+from charms_bench.humans.population import read_population
+from charms_bench.humans.simple_models import Driver, constant_time_gap, nearest_neighbours
+from charms_bench.humans.trips import RATE_HZ, Trip
+from charms_bench.humans.unseen_situations import unseen
 from charms_bench.statistics.energy_score import energy_score
 from charms_bench.world.scene import Floats
 
