@@ -9,7 +9,7 @@ import numpy as np
 import plan_roads as plan
 import polars as pl
 
-from charms_bench.metrics.sets import metrics_of
+from charms_bench.metrics.metric import Metric
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.world.scene import Floats, SceneSettings
@@ -27,35 +27,32 @@ TOLD_BY: dict[str, tuple[str, ...]] = {
 
 def told(run: FinishedRun) -> pl.DataFrame:
     """The proportion of episodes whose style is told right, by road and seed, which is held out."""
+    defined = {each.name: each for part in run.suite.metric_sets for each in part.metrics}
+    by_road: dict[str, dict[str, list[CellRows]]] = {}
+    for cell in map(run.cell, run.finished):
+        style, _, seed = cell.agent.partition(plan.SEED)
+        if seed and style.replace(" ", "_") in plan.STYLES:
+            by_road.setdefault(str(cell.road), {}).setdefault(seed, []).append(cell)
     records = []
-    for road in dict.fromkeys(cell.road for cell in run.suite.cells):
-        cells = [run.cell(k) for k in run.finished if run.suite.cells[k].road == road]
-        cells = [cell for cell in cells if plan.SEED in cell.agent]
-        seeds = list(dict.fromkeys(cell.agent.partition(plan.SEED)[2] for cell in cells))
-        scene = run.suite.cells[0].scene
+    for road, cells in by_road.items():
         for by, names in TOLD_BY.items():
-            known = np.stack(
-                [
-                    _of_episodes(
-                        [each for each in cells if each.agent.endswith(seed)], scene, names
-                    )
-                    for seed in seeds
-                ]
-            )
-            for k, seed in enumerate(seeds):
+            metrics = [defined[name] for name in names]
+            scene = run.suite.scene
+            known = np.stack([_of_episodes(each, scene, metrics) for each in cells.values()])
+            for k, seed in enumerate(cells):
                 right = told_right(np.delete(known, k, axis=0), known[k])
-                records.append({"road": str(road), "by": by, "seed": int(seed), "told": right})
+                records.append({"road": road, "by": by, "seed": int(seed), "told": right})
     return pl.DataFrame(records)
 
 
-def _of_episodes(cells: Sequence[CellRows], scene: SceneSettings, names: Sequence[str]) -> Floats:
+def _of_episodes(
+    styles: Sequence[CellRows], scene: SceneSettings, metrics: Sequence[Metric]
+) -> Floats:
     """[styles, E, K] metrics of the episodes of a seed; NaN where they are not defined."""
-    metrics = metrics_of(names)
     values = []
-    for cell in sorted(cells, key=lambda each: each.agent):
-        sums = cell.sums(metrics, scene)
-        each = [metric.value(part) for metric, part in zip(metrics, sums, strict=True)]
-        values.append(np.stack(each, axis=1))
+    for cell in sorted(styles, key=lambda each: each.agent):
+        sums = zip(metrics, cell.sums(metrics, scene), strict=True)
+        values.append(np.stack([metric.value(each) for metric, each in sums], axis=1))
     return np.stack(values)
 
 

@@ -209,7 +209,10 @@ def _borrowed(_: Any, scene: Any) -> Any:
             array.meminfo = cgutils.get_null_value(array.meminfo.type)  # type: ignore[no-untyped-call]
             array.parent = cgutils.get_null_value(array.parent.type)  # type: ignore[no-untyped-call]
             return array._getvalue()
-        parts: Any = kind if isinstance(kind, types.BaseTuple) else ()
+        if not isinstance(kind, types.BaseTuple):
+            context.nrt.incref(builder, kind, value)
+            return value
+        parts: Any = kind
         for k, each in enumerate(parts):
             part = borrow(context, builder, each, builder.extract_value(value, k))
             value = builder.insert_value(value, part, k)
@@ -223,7 +226,9 @@ def _borrowed(_: Any, scene: Any) -> Any:
 
 borrowed: Any = intrinsic(_borrowed)
 """`borrowed(scene)`, in compiled code, is a tuple whose arrays, also those of tuples in it, have no
-owner, so that their references are not counted. Others have to keep the arrays."""
+owner, so that their references are not counted. Something else has to keep the arrays: `scene` is
+an argument that Python holds, never a variable of compiled code. And such an array must not reach
+Python, so compiled functions return copies."""
 
 
 def unpack_with(compiled_unpack: Any, scene: Any) -> Unpacked:
