@@ -275,6 +275,16 @@ def test_an_ego_that_takes_the_exit_is_on_the_ramp() -> None:
     assert ego["y"].min() > 22.0
 
 
+def test_an_ego_that_leaves_a_roundabout_is_beyond_its_ring() -> None:
+    made = simulation("roundabout-v1", "idm_mobil", 40, duration_s=60.0)
+    while made.scene.active.any():
+        made.step()
+    ego = on_network(made)[made.ending == GOAL, 0]
+    # The way out leaves the outer lane, of 24 m radius, 24 degrees before the north.
+    assert ego["x"].max() < 24 * np.sin(np.radians(24))
+    assert ego["y"].max() < -24 * np.cos(np.radians(24))
+
+
 def suite(agent: str, *roads: str, traffic: str = "environment", **profile: object) -> Suite:
     return Suite.model_validate(
         {

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from road_simulations import PLACES
+from road_simulations import PLACES, simulation
 
 from charms_bench.engine.pile_ups import pile_ups
 from charms_bench.engine.simulation import Simulation
@@ -226,3 +226,11 @@ def test_prescribed_vehicles_that_collide_are_a_pile_up_on_a_road_too() -> None:
         points=points,
     )
     assert pile_ups(settings, np.arange(2), RoadEngine).tolist() == [True, False]
+
+
+@pytest.mark.parametrize("road", ["u-turn-v1", "roundabout-v1", "exit-v1"])
+def test_an_ego_that_is_placed_on_its_own_road_still_has_its_route(road: str) -> None:
+    placed, plain = table_of(started(road, LEADER))[0], table_of(simulation(road))[0]
+    assert plain["route_end"] > plain["route_step"]
+    for name in ("route_roads", "route_numbers", "route_step", "route_end", "goal"):
+        assert (placed[name] == plain[name]).all(), name

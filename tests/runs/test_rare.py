@@ -1,6 +1,7 @@
 """Estimations of rare events continue where they were, whatever happens to them."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -15,6 +16,8 @@ from command_line import charms_bench
 
 from charms_bench import api
 from charms_bench.errors import InputError, RunFolderError
+from charms_bench.report.number import Number
+from charms_bench.report.rare_table import plain_episodes
 from charms_bench.runs import rare
 
 SUITE = """\
@@ -56,6 +59,13 @@ def test_the_table_has_the_probability_its_interval_and_what_it_cost(whole: api.
     assert row["plain_episodes"] > 0
     assert "0.7 s or less" in whole.table.title
     assert (whole.path / "tables" / "crowded-rare-ttc.md").exists()
+
+
+def test_as_many_plain_episodes_give_the_same_ratio_of_ends() -> None:
+    # The logarithm of a proportion p of n episodes has the standard error of sqrt((1 - p) / (n p)).
+    p, n = 0.4, 1500
+    margin = 1.959964 * ((1 - p) / (n * p)) ** 0.5
+    assert plain_episodes(Number(p, p * math.exp(-margin), p * math.exp(margin))) == n
 
 
 def test_the_note_compares_the_interval_with_that_of_as_many_plain_episodes(
