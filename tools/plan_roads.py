@@ -26,6 +26,8 @@ OF_STYLES = "styles"
 """The test in which all of them do."""
 OF_LEVELS = "levels"
 """The test in which Level-1 drives."""
+STRAIGHT = "straight"
+"""The test on the straight road."""
 MERGE, EXIT, ROUNDABOUT = "merge-v1", "exit-v1", "roundabout-v1"
 INTERSECTION = {"name": "intersection-v1", "duration_s": 30.0}
 OWN, PEOPLE = "environment", {"traffic": "yielding_human", "label": "Yielding human"}
@@ -70,6 +72,7 @@ TESTS: dict[str, dict[str, Any]] = {
     "maps": {},
     OF_STYLES: {"roads": [MERGE, ROUNDABOUT], "traffic_models": [PEOPLE]},
     "others": {"roads": OTHERS},
+    STRAIGHT: {"traffic_models": UNKNOWN, "episodes": 1_800, "scene": {"duration_s": 20.0}},
 }  # fmt: skip
 """What each suite adds to 600 episodes from seed 985,000,000 of 45 s."""
 VALIDATION = "validation", "validation-people"

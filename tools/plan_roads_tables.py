@@ -16,6 +16,7 @@ from plan_roads_values import kept, mean_of, trained, values_of
 from result_pages import RESULTS, keep
 from scipy import stats
 
+import charms_bench
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
@@ -34,6 +35,11 @@ COLUMNS: dict[str, tuple[str, str, Callable[[Floats], float]]] = {
     "time_s": ("mean time, s", ".1f", max),
 }
 """Header and format of each metric, and which of the seeds' values is the worst."""
+ON_STRAIGHT = {
+    "crashed_at_fault": ("crashed at fault", ".2%"),
+    "speed_mean": ("speed, m/s", ".2f"),
+}
+"""Header and format of each metric of the straight road."""
 ROUGH = pl.col("conflicts", "time_s", "wrecks", "imposed_mps2").round_sig_figs(3)
 STATEMENTS = [  # the styles of the first kind have less of it
     ("efficient styles reach the goal sooner than safe ones, s", "time_s", "^efficient", "^safe"),
@@ -98,6 +104,24 @@ def told_table(values: pl.DataFrame) -> str:
     return markdown(Table.plain(records, ("road", "told by"), {"told right": ".1%"}))
 
 
+def straight(folder: Path) -> str:
+    """What the networks do on the straight road: means of the seeds, beside the others."""
+    run = charms_bench.open_run(folder)
+    is_standard = pl.col("metric_set").str.starts_with("standard-")
+    frame = run.table.frame().filter(is_standard, pl.col("metric").is_in([*ON_STRAIGHT]))
+    label = pl.col("agent").str.split_exact(plan.SEED, 1).struct
+    rows = frame.with_columns(label[0].alias("ego"), label[1].alias("seed"))
+    records = []
+    for (traffic, ego), cell in rows.group_by("traffic", "ego", maintain_order=True):
+        record: dict[str, Any] = {"traffic": traffic, "ego": ego}
+        for metric, (header, _) in ON_STRAIGHT.items():
+            values = cell.filter(metric=metric)["value"].to_numpy()
+            record[header] = mean_of(values, 0.0)
+        records.append(record | {"seeds": str(cell["seed"].drop_nulls().n_unique() or "")})
+    forms = dict(ON_STRAIGHT.values()) | {"seeds": ""}
+    return markdown(Table.plain(records, ("traffic", "ego"), forms))
+
+
 def limits(values: pl.DataFrame) -> str:
     """The limits of the plan, for each cell: the means of the seeds and whether they hold."""
     records = []
@@ -146,7 +170,11 @@ def selected(values: pl.DataFrame) -> pl.DataFrame:
 def tables(networks: Path, runs: Path) -> None:
     """Writes the tables of the plan and the CSV files beside them."""
     kept("plan-roads-trainings", trained(networks), "network")
-    driven = [values for test in plan.TESTS if len(values := values_of(runs, test))]
+    driven = [
+        values
+        for test in plan.TESTS
+        if test != plan.STRAIGHT and len(values := values_of(runs, test))
+    ]
     fine = pl.selectors.float().round_sig_figs(4)
     every = pl.concat(driven).with_columns(fine).with_columns(ROUGH)
     found = dict(kept("plan-roads-values", every, "test").partition_by("test", as_dict=True))
@@ -165,6 +193,8 @@ def tables(networks: Path, runs: Path) -> None:
         by_seed = told(open_finished(runs / plan.OF_STYLES)).with_columns(pl.col("told").round(4))
         by_seed.write_csv(RESULTS / "plan-roads-told.csv")
         keep("plan-roads-told", told_table(by_seed))
+    if (runs / plan.STRAIGHT).is_dir():
+        keep("plan-roads-straight", straight(runs / plan.STRAIGHT))
     if found:
         # `levels` and `styles` drive the first episodes of `own` and `people` again.
         cells = pl.concat(found[test] for test in plan.TESTS if test in found)
