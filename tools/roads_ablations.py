@@ -164,15 +164,23 @@ def differences(values: pl.DataFrame) -> str:
 
 
 def tables(folder: Path) -> None:
-    """Writes what the networks do."""
+    """Writes what the networks do; seeds that are not in the folder keep their rows."""
     rough = pl.selectors.float().round_sig_figs(4)
     found = values_of(folder, "ablations").drop("test", "traffic")
     driven = found.with_columns(rough).with_columns(ROUGH)
-    every = driven.pivot("road", index=["ego", "seed"], values=[*QUANTITIES, "time_s"])
+    wide = driven.pivot("road", index=["ego", "seed"], values=[*QUANTITIES, "time_s"])
     networks = trained(folder).rename({"variant": "ego"})
-    every = every.join(networks, on=["ego", "seed"], how="left").sort("ego", "seed")
-    every.write_csv(RESULTS / "plan-roads-ablations.csv")
-    keep("plan-roads-ablations", differences(driven))
+    wide = wide.join(networks, on=["ego", "seed"], how="left")
+    path = RESULTS / "plan-roads-ablations.csv"
+    others = pl.read_csv(path).filter(~pl.col("seed").is_in(wide["seed"].implode()))
+    every = pl.concat([others, wide.select(others.columns)]).sort("ego", "seed")
+    every.write_csv(path)
+    by_road = [
+        every.select("ego", "seed", pl.lit(road).alias("road"),
+                     *(pl.col(f"{name}_{road}").alias(name) for name in QUANTITIES))
+        for road in LIMITS
+    ]  # fmt: skip
+    keep("plan-roads-ablations", differences(pl.concat(by_road)))
 
 
 if __name__ == "__main__":
