@@ -32,7 +32,7 @@ _VERSIONS = {
 }
 TASKS = {f"{name}-v{k}": task for name, (count, task) in _VERSIONS.items() for k in range(count)}
 """The modules and classes of the environments by highway-env's names."""
-OF_FILES = "file_road:FileRoad"
+OF_FILES = "road_from_file:FileRoad"
 """Those of roads in files."""
 
 OF_SEVERAL_EGOS = tuple(name for name in TASKS if name.startswith("intersection-multi-agent"))
