@@ -172,7 +172,7 @@ def two_integers(state: State, high: int) -> tuple[int, int]:
 
 @compiled
 def shuffle(state: State, rows: NDArray[Any]) -> None:
-    """Shuffles the rows of an array of more than one dimension."""
+    """Shuffles the rows of an array of two dimensions."""
     for i in range(len(rows) - 1, 0, -1):
         mask = _LOW
         while mask >> _1 >= np.uint64(i):
@@ -180,8 +180,9 @@ def shuffle(state: State, rows: NDArray[Any]) -> None:
         j = half_word(state) & mask
         while j > np.uint64(i):
             j = half_word(state) & mask
-        one, other = rows[i].copy(), rows[np.int64(j)].copy()
-        rows[i], rows[np.int64(j)] = other, one
+        other = np.int64(j)
+        for k in range(rows.shape[1]):  # rows that are assigned take a second more to compile
+            rows[i, k], rows[other, k] = rows[other, k], rows[i, k]
 
 
 @compiled
