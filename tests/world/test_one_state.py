@@ -20,7 +20,7 @@ REASONS = {
     "recording/columns.py: STEP": "the rows of decisions",
     "runs/shard_rows.py: _WITHOUT_NULL": "which of their columns are always there",
     "episodes/replay.py: TRAJECTORY_SCHEMA": "the rows of a replay",
-    "world/moments.py: Tracks": "recorded vehicles",
+    "world/recorded_moments.py: Tracks": "recorded vehicles",
     "maps/commonroad_scene.py: Problem": "a vehicle that a file describes without a recording",
     "world/tracks.py: Bodies": "what a replay keeps of all moments, and what a picture shows",
     "testing/map_parity.py: vehicle": "highway-env's vehicle that is compared",
