@@ -12,6 +12,8 @@ from scipy.integrate import cumulative_simpson, quad
 from charms_bench.foundation.arrays import Floats
 from charms_bench.maps.elements import elements
 from charms_bench.maps.reference_line import ReferenceLine
+from charms_bench.maps.shapes import straight
+from charms_bench.world.road_network import StraightLane
 
 WITHIN_M, LENGTH_ERROR = 0.01, 1e-3
 """What the page on maps promises."""
@@ -140,3 +142,14 @@ def test_an_arc_is_kept_as_an_arc(tmp_path: Path) -> None:
     assert found.length == pytest.approx(101.75, rel=1e-12)
     assert found.exact is not None
     assert not found.exact.clockwise  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("end", "width"), [((10.0, 4.0, 1.5, 3.5), 3.5), ((10.0, 4.0, 0.0, 4.0), None)]
+)
+def test_two_points_of_one_width_are_a_straight_lane_however_high(
+    end: tuple[float, ...], width: float | None
+) -> None:
+    found = straight(np.array([(0.0, 1.0, 0.0, 3.5), end]))
+    expected = width and StraightLane(start=(0.0, 1.0), end=(10.0, 4.0), width=width)
+    assert found == expected

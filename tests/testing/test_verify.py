@@ -1,15 +1,19 @@
 """Verification finds what differs, and names the first of it."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from charms_bench.engine import batched
+from charms_bench.errors import InputError
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
-from charms_bench.testing.parity import compare, verify
+from charms_bench.testing.map_parity import MapCase
+from charms_bench.testing.parity import Comparison, compare, verify
+from charms_bench.testing.road_parity import RoadCase
 from charms_bench.testing.straight_parity import StraightCase, random_controls
-from charms_bench.testing.verify import default_cases
+from charms_bench.testing.verify import case_on, default_cases
 from charms_bench.world.placement import place
 from charms_bench.world.scene import Bools, Scene, SceneSettings
 
@@ -57,6 +61,22 @@ def test_comparisons_add_up_over_episodes() -> None:
     first, second = (compare(CASE, range(seed, seed + 1), tolerance=1e-6) for seed in (3, 4))
     total = first + second
     assert (total.episodes, total.steps, total.crashed) == (2, both.steps, both.crashed)
+
+
+def test_a_sum_of_comparisons_has_the_largest_difference_of_both() -> None:
+    one = Comparison("case", episodes=1, steps=10, largest=0.2, largest_at_start=0.0)
+    other = Comparison("case", episodes=2, steps=5, largest=0.1, largest_at_start=0.3)
+    both = one + other
+    assert (both.episodes, both.steps) == (3, 15)
+    assert (both.largest, both.largest_at_start) == (0.2, 0.3)
+
+
+def test_a_road_is_a_name_or_a_file() -> None:
+    town = Path(__file__).parents[2] / "suites" / "places" / "town.json"
+    assert case_on("merge-v0") == RoadCase("merge-v0")
+    assert case_on(str(town)) == MapCase(town)
+    with pytest.raises(InputError, match="no file and no environment named 'merge-v9'"):
+        case_on("merge-v9")
 
 
 def test_random_accelerations_and_steering_angles_drive_the_egos() -> None:
