@@ -137,6 +137,8 @@ def test_preventable_collisions_are_those_that_the_careful_driver_avoids(
     assert careful.any()
     assert (other & ~careful).any()
     table = run.tables["small-preventable"]
+    definitions = {column.name: column.definition for column in table.columns}
+    assert definitions["preventable"].endswith("does so and Careful does not")
     shares = {row.labels: [number.value for number in row.numbers] for row in table.rows}
     found = [other.mean(), (other & ~careful).mean()]
     assert shares["Level 0", "Braking"][:2] == pytest.approx(found)
