@@ -103,10 +103,10 @@ class RoadEnv(SingleEnv):
         episodes = self._episodes
         if changed != episodes.inner.config:
             before = episodes.inner.scenes.generator
-            episodes.configure(changed)
+            episodes.configure(deepcopy(changed))
             episodes.inner.scenes.generator[:] = before
             self.observation_space, self.action_space = episodes.spaces
-        self.config = deepcopy(changed)
+        self.config = changed
         return super().reset(seed=seed, options=options)
 
     def configure(self, config: Mapping[str, Any] | None) -> None:

@@ -104,7 +104,8 @@ class RoadEpisodes(Episodes):
 
     def reseed(self, rows: Ints, seeds: Seeds) -> None:
         """Leaves the observations as they are that were returned before."""
-        self._seen = deepcopy(self._seen)
+        if rows.size < self.scenes:
+            self._seen = deepcopy(self._seen)
 
     def start(self, rows: Ints, seeds: Seeds) -> None:
         inner = self.inner
@@ -218,8 +219,8 @@ class RoadEpisodes(Episodes):
         if info:
             info["action"] = action
         if inner.task.terms:
-            terms = _terms(inner, self._decision, 0)
-            info["rewards"] = {name: term.item() for name, term in terms}
+            terms = self._decision.terms[0].tolist()
+            info["rewards"] = dict(zip(inner.task.terms, terms, strict=True))
         for name, each in self._information().items():
             info[name] = tuple(each[0].tolist()) if np.ndim(each) > 1 else each[0].item()
         seen, truncated = row_of(decided.observations, 0), bool(decided.truncated[0])
@@ -330,7 +331,7 @@ def _parts(actions: Any) -> list[Any]:
 
 def _checked_of_one(actions: NDArray[Any], episodes: RoadScenes) -> NDArray[Any]:
     """The actions (B, ...) of one agent, if they are such."""
-    space = episodes.actions.space
+    space = episodes.action_space
     is_discrete = isinstance(space, gymnasium.spaces.Discrete)
     shape = episodes.everyone.size, *(space.shape or ())
     if actions.shape != shape or actions.dtype.kind not in ("iu" if is_discrete else "iuf"):
@@ -343,12 +344,12 @@ def _checked_of_one(actions: NDArray[Any], episodes: RoadScenes) -> NDArray[Any]
             raise InputError("actions: not all of them are finite")
         return actions if actions.dtype == np.float32 else actions.astype(np.float64)
     most = int(space.n)
-    if not ((actions >= 0) & (actions < most)).all():
+    if actions.min() < 0 or actions.max() >= most:
         wrong = actions[(actions < 0) | (actions >= most)][0]
         raise InputError(f"action {wrong}; expected 0 to {most - 1}")
     return actions.astype(np.int64, copy=False)
 
 
-def _terms(episodes: RoadScenes, decision: Decision, row: Any = slice(None)) -> Any:
-    """The terms of the rewards by name, without their weights."""
-    return zip(episodes.task.terms, np.moveaxis(decision.terms, 1, 0)[:, row], strict=True)
+def _terms(episodes: RoadScenes, decision: Decision) -> Any:
+    """The terms (B,) of the rewards by name, without their weights."""
+    return zip(episodes.task.terms, decision.terms.T, strict=True)

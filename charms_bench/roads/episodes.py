@@ -80,6 +80,7 @@ class Episodes:
         with configuration.named(".action"):
             self.actions = actions_of(one, task.actions)
         """Those of one agent."""
+        self.action_space = self.actions.space
         with configuration.named(""):
             self.task = task(one)
         self.agents = self.task.egos if self.has_agents else 1
@@ -186,11 +187,11 @@ class Episodes:
         scenes, rewards = self.scenes, self._rewards
         self.task.prepare(scenes, self.everyone)
         parts = actions if isinstance(actions, tuple) else (actions,)
-        given = [
-            self.actions.give(scenes, self.everyone, part, ego) for ego, part in enumerate(parts)
-        ]
+        given = np.empty((self.everyone.size, len(parts)), dtype=np.int64)
+        for ego, part in enumerate(parts):
+            given[:, ego] = self.actions.give(scenes, self.everyone, part, ego)
         seen = self.observe() if self.task.observes_before else None
-        decide(scenes, self.everyone, np.stack(given, axis=1), self._frames, self._interval)
+        decide(scenes, self.everyone, given, self._frames, self._interval)
         self.steps += 1
         self.task.judge(scenes, self.everyone, parts[0], rewards)
         truncated = self.task.is_truncated(scenes)

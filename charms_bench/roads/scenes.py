@@ -37,9 +37,9 @@ ROUTE_STEPS = 12
 """The most steps of a route."""
 BATCH = 8
 """For so many vehicles at once, elementary functions are computed; see `BATCHES`."""
-FEW_VEHICLES = 32
-"""Of so few, neighbours on single lanes and collisions are found by looking at all of them, which
-is faster."""
+FEW_VEHICLES, FEW_CONNECTED = 32, 6
+"""Of so few, neighbours on single lanes and collisions, or neighbours on connected lanes, are found
+by looking at all of them, which is faster."""
 LISTS = 8
 """In so many lists on average, a vehicle can be at once; with more, the first ones are dropped."""
 AHEAD_M = 60.0
@@ -252,7 +252,7 @@ class Scenes(_Fields):
         visited["along"] = visited["by_x"] = np.arange(places)
         clock = np.zeros(1, CLOCK)
         clock["sorted"], clock["room"], clock["most"] = -1, room, most
-        clock["few"] = places <= FEW_VEHICLES and not connects
+        clock["few"] = places <= (FEW_CONNECTED if connects else FEW_VEHICLES)
         return cls(
             vehicles=np.zeros((scenes, places), VEHICLE),
             ways=no_ways(scenes, places),

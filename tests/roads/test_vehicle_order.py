@@ -14,6 +14,7 @@ from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.locating import forget
 from charms_bench.roads.scenes import (
+    FEW_CONNECTED,
     FEW_VEHICLES,
     IDM,
     LANDMARK,
@@ -29,7 +30,7 @@ from charms_bench.world.profile import HIGHWAY_ENV
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M, is_on_lane, local_coordinates, position
 from charms_bench.world.road_network import Network, SineLane, StraightLane, network_of
 
-SIZES = (7, 4 * FEW_VEHICLES)
+SIZES = (FEW_CONNECTED, FEW_CONNECTED + 1, 4 * FEW_VEHICLES)
 
 
 @compiled_of_scenes
