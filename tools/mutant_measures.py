@@ -1,7 +1,7 @@
 """The measures of docs/mutants.md, of severities by episode and driver; the page defines them."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -102,3 +102,35 @@ def distance(episodes: float, resampled: Floats, km: float, most: int) -> str:
 
     low, high = np.quantile(resampled, [0.025, 0.975], method="nearest")
     return f"{text(episodes)} [{text(low)}, {text(high)}]"
+
+
+def ordered(
+    driven: Driven, places: Sequence[Sequence[int]], rng: np.random.Generator
+) -> tuple[list[dict[str, Any]], Number]:
+    """The columns of each ladder and of their mean, and the mean's τ with the first 3 s."""
+    severity, size = driven.severity, len(driven.severity)
+    tau = taus(severity.mean(axis=0), places)
+    spread = taus(resampled_means(severity, rng), places)
+    early = taus(driven.from_the_start.mean(axis=0), places)
+    early_spread = taus(resampled_means(driven.from_the_start, rng), places)
+    needed = episodes_until_ordered(severity, places, rng)
+    again = np.array(
+        [
+            episodes_until_ordered(severity[rng.integers(size, size=size)], places, rng)
+            for _ in range(100)
+        ]
+    )
+    km = float(driven.distance_km.mean())
+    columns = [
+        {
+            "τ": of_resamples(float(tau[i]), spread[:, i]),
+            "km until τ ≥ 0.9": distance(float(needed[i]), again[:, i], km, size),
+        }
+        for i in range(len(places) + 1)
+    ]
+    return columns, of_resamples(float(early[-1]), early_spread[:, -1])
+
+
+def sizes_found(is_found: Bools, members: Sequence[int]) -> str:
+    """Which sizes of a fault are found, from the smallest, 1."""
+    return ", ".join(str(k) for k in range(1, len(members)) if is_found[members[k] - 1]) or "none"

@@ -1,7 +1,8 @@
-"""How well traffic models find faults, for `write_results.py mutants RUN` of suites/mutants.yaml.
+"""How well traffic models find faults, for `write_results.py mutants RUN`.
 
-Writes the tables of docs/mutants.md, which says what the numbers are, and the severity of every
-driver in every traffic model to `docs/results/mutants.csv`.
+The run is one of suites/mutants.yaml or suites/mutants-roads.yaml. Writes the tables of
+docs/mutants.md, which says what the numbers are, and the severity of every driver in every traffic
+model to a CSV file with the name of the suite in `docs/results`.
 """
 
 import re
@@ -11,16 +12,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from mutant_measures import (
-    Driven,
-    distance,
-    episodes_until_ordered,
-    found,
-    of_resamples,
-    per_1000_km,
-    resampled_means,
-    taus,
-)
+from mutant_measures import Driven, found, ordered, per_1000_km, sizes_found
 from result_pages import RESULTS, ROOT, keep, table_named
 
 from charms_bench.episodes.avoidability import avoidability, collisions
@@ -34,7 +26,7 @@ from charms_bench.world.scene import Floats, Ints
 SINCE_S = 3.0
 SEARCHED = 40
 """Collisions of each traffic model whose avoidability is searched."""
-LADDERS = ("Headway", "Delay", "Blind spot", "Imposed braking")
+LADDERS = ("Headway", "Delay", "Blind spot", "Imposed braking", "Gap acceptance")
 """The drivers of a ladder have labels that begin so, from the smallest fault to the largest."""
 TOTAL = re.compile(r"^\| (.+?) \| traffic \|.*\| (\S+ \[.+?\]) \|$", re.MULTILINE)
 
@@ -96,46 +88,52 @@ def summary(
     likeness: Mapping[str, str],
 ) -> tuple[Table, Table]:
     """The table of traffic models, and that of the ladders of each."""
-    places = list(ladders.values())
     whole, parts = [], []
     for traffic, driven in traffics.items():
         rng = np.random.default_rng(731_550_000)
-        severity, size = driven.severity, len(driven.severity)
-        tau = taus(severity.mean(axis=0), places)
-        spread = taus(resampled_means(severity, rng), places)
-        early = taus(driven.from_the_start.mean(axis=0), places)
-        early_spread = taus(resampled_means(driven.from_the_start, rng), places)
-        needed = episodes_until_ordered(severity, places, rng)
-        again = np.array(
-            [
-                episodes_until_ordered(severity[rng.integers(size, size=size)], places, rng)
-                for _ in range(100)
-            ]
-        )
-        km, is_found = float(driven.distance_km.mean()), found(severity)
-        columns: list[dict[str, Any]] = [
-            {
-                "τ": of_resamples(float(tau[i]), spread[:, i]),
-                "km until τ ≥ 0.9": distance(float(needed[i]), again[:, i], km, size),
-            }
-            for i in range(len(places) + 1)
-        ]
+        columns, early = ordered(driven, [*ladders.values()], rng)
+        is_found = found(driven.severity)
         whole.append(
             {
                 "traffic model": traffic,
                 **columns[-1],
                 "faults found, of 16": f"{is_found.sum()}",
                 "avoidable collisions per 1,000 km": per_1000_km(driven, searched[traffic], rng),
-                "τ with the first 3 s": of_resamples(float(early[-1]), early_spread[:, -1]),
+                "τ with the first 3 s": early,
                 "likeness": likeness.get(traffic, "–"),
             }
         )
         for i, (ladder, members) in enumerate(ladders.items()):
-            sizes = ", ".join(str(k) for k in range(1, 5) if is_found[members[k] - 1])
             row = {"fault": ladder, "traffic model": traffic, **columns[i]}
-            parts.append({**row, "sizes found": sizes or "none"})
+            parts.append({**row, "sizes found": sizes_found(is_found, members)})
     parts.sort(key=lambda row: list(ladders).index(row["fault"]))
     return _table(whole, 1), _table(parts, 2)
+
+
+def on_roads(
+    driven: Mapping[tuple[str, str], Driven], ladders: Mapping[str, Sequence[int]]
+) -> Table:
+    """The table of the traffic models on each road, and on all roads together.
+
+    Episodes with the same seed on all roads are one there.
+    """
+    every = dict(driven)
+    for traffic in dict.fromkeys(traffic for _, traffic in driven):
+        parts = [each for (_, model), each in driven.items() if model == traffic]
+        severity, start, km, collided = (np.stack(each) for each in zip(*parts, strict=True))
+        means = severity.mean(axis=0), start.mean(axis=0)
+        every["all", traffic] = Driven(*means, km.sum(axis=0), collided.any(axis=0))
+    rows = []
+    for (road, traffic), each in every.items():
+        rng = np.random.default_rng(732_550_000)
+        columns, _ = ordered(each, [*ladders.values()], rng)
+        is_found = found(each.severity)
+        of_ladders = {
+            name.lower(): sizes_found(is_found, members) for name, members in ladders.items()
+        }
+        whole = {**columns[-1], "faults found, of 16": f"{is_found.sum()}"}
+        rows.append({"road": road, "traffic model": traffic, **whole, **of_ladders})
+    return _table(rows, 2)
 
 
 def _table(records: Sequence[dict[str, Any]], keys: int) -> Table:
@@ -148,36 +146,41 @@ def write(folder: Path) -> None:
     """Writes the tables and the severities."""
     run = open_finished(folder)
     egos = [ego.title for ego in run.suite.egos]
-    ladders = {
-        name: [0, *(k for k, ego in enumerate(egos) if ego.startswith(name))] for name in LADDERS
-    }
-    cells: dict[str, list[int]] = {}
+    every = {name: [k for k, ego in enumerate(egos) if ego.startswith(name)] for name in LADDERS}
+    ladders = {name: [0, *members] for name, members in every.items() if members}
+    cells: dict[tuple[str, str], list[int]] = {}
     for place, each in enumerate(run.suite.cells):
-        cells.setdefault(each.traffic.title, []).append(place)
-    traffics = {title: of_traffic(run, places) for title, places in cells.items()}
-    searched = {title: avoidable(run, places) for title, places in cells.items()}
+        road = each.road.title if each.road else ""
+        cells.setdefault((road, each.traffic.title), []).append(place)
+    driven = {key: of_traffic(run, places) for key, places in cells.items()}
     rows: list[dict[str, Any]] = []
-    for title, driven in traffics.items():
-        marks: Ints = np.array([0, *found(driven.severity)], dtype=np.int64)
-        error = driven.severity.std(axis=0, ddof=1) / np.sqrt(len(driven.severity))
+    for (road, title), each in driven.items():
+        marks: Ints = np.array([0, *found(each.severity)], dtype=np.int64)
+        error = each.severity.std(axis=0, ddof=1) / np.sqrt(len(each.severity))
         rows += [
             {
+                **({"road": road} if road else {}),
                 "traffic": title,
                 "ego": ego,
-                "severity": driven.severity[:, k].mean(),
+                "severity": each.severity[:, k].mean(),
                 "standard_error": error[k],
-                "severity_from_the_start": driven.from_the_start[:, k].mean(),
-                "collisions": int(driven.collided[:, k].sum()),
-                "distance_km": driven.distance_km[:, k].sum(),
+                "severity_from_the_start": each.from_the_start[:, k].mean(),
+                "collisions": int(each.collided[:, k].sum()),
+                "distance_km": each.distance_km[:, k].sum(),
                 "found": int(marks[k]),
             }
             for k, ego in enumerate(egos)
         ]
     frame = pl.DataFrame(rows).with_columns(pl.selectors.float().round_sig_figs(6))
-    frame.write_csv(RESULTS / "mutants.csv")
+    frame.write_csv(RESULTS / f"{run.suite.suite}.csv")
+    if run.suite.roads:
+        keep("mutants-roads", markdown(on_roads(driven, ladders)))
+        return
+    searched = {title: avoidable(run, places) for (_, title), places in cells.items()}
     for title, counts in searched.items():
         print(title, "collisions searched, avoidable:", counts.sum(axis=0))
     likeness = dict(TOTAL.findall(table_named("likeness-i24")))
+    traffics = {title: each for (_, title), each in driven.items()}
     whole, parts = summary(traffics, searched, ladders, likeness)
     keep("mutants", markdown(whole))
     keep("mutants-ladders", markdown(parts))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from charms_baselines.idm_mobil import IdmMobil
+from charms_baselines.yielding_idm_mobil import YieldingIdmMobil
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.world.candidate_lanes import LEFT, RIGHT
@@ -24,6 +25,8 @@ class Mutant(DriverModel):
         blind_m: It does not see a follower on a side lane, up to this far behind, centre to centre.
         imposes_mps2: The limit on the braking that a lane change imposes on the new follower; by
             default, the profile's.
+        critical: It gives way, with critical headways of this proportion of the Highway Capacity
+            Manual's; by default, it does not give way. See `yielding_idm_mobil`.
 
     Raises:
         InputError: An option is out of range.
@@ -35,12 +38,14 @@ class Mutant(DriverModel):
         delay: int = 0,
         blind_m: float = 0.0,
         imposes_mps2: float | None = None,
+        critical: float | None = None,
     ) -> None:
         limits = (
             ("headway", headway, 0.0, 10.0),
             ("delay", delay, 0, LONGEST_DELAY),
             ("blind_m", blind_m, 0.0, 1e4),
             ("imposes_mps2", imposes_mps2 or 0.0, 0.0, 100.0),
+            ("critical", critical or 0.0, 0.0, 10.0),
         )
         for name, value, low, high in limits:
             if not low <= value <= high:
@@ -49,6 +54,9 @@ class Mutant(DriverModel):
             raise InputError(f"mutant: delay is {delay}; expected a whole number of decisions")
         self._headway, self._delay, self._blind_m = headway, int(delay), blind_m
         self._imposes = imposes_mps2
+        self._driver: DriverModel = IdmMobil()
+        if critical is not None:
+            self._driver = YieldingIdmMobil(critical)
         self.memory_width = self._delay
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
@@ -58,7 +66,8 @@ class Mutant(DriverModel):
             p = p._replace(imposed_braking_mps2=self._imposes)
         seen = scene if self._blind_m == 0 else self._unseeing(scene, vehicles)
         seen = seen._replace(constants=scene.constants._replace(idm_mobil=p))
-        acceleration, target_lane = IdmMobil().drive(seen, vehicles)
+        seen = seen.at(scene.junctions)
+        acceleration, target_lane = self._driver.drive(seen, vehicles)
         for k in range(self._delay):
             at = (*vehicles, np.full(vehicles[0].size, k))
             earlier = scene.memory[at]

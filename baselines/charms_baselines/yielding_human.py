@@ -51,12 +51,20 @@ class YieldingHuman(Human):
         """The gaps (M,) from M vehicles to the first stop line before which they wait, m."""
         if scene.junctions is None:
             return super().stops(scene, vehicles)
-        return _stops(_SEEN(scene, vehicles), scene.length[vehicles])
+        return stop_lines(scene, vehicles)
+
+
+def stop_lines(scene: Scene, vehicles: Vehicles, critical: float = 1.0) -> Floats:
+    """The gaps (M,) from M vehicles to the first stop line before which they wait, m.
+
+    `critical` scales the critical headways. Without a line, a gap is infinite.
+    """
+    return _stop_lines(_SEEN(scene, vehicles), scene.length[vehicles], critical)
 
 
 @compiled
-def _stops(seen: Observations, lengths: Floats) -> Floats:
-    """The gaps of `YieldingHuman.stops`, from what M vehicles see and their lengths, m."""
+def _stop_lines(seen: Observations, lengths: Floats, scale: float) -> Floats:
+    """The gaps of `stop_lines`, from what M vehicles see and their lengths, m."""
     gaps = np.full(lengths.size, math.inf)
     for m in range(lengths.size):
         own_speed = max(np.float64(seen[m, EGO, 0]) * SPEED_MPS, SLOWEST_MPS)
@@ -69,7 +77,7 @@ def _stops(seen: Observations, lengths: Floats) -> Floats:
                 continue
             at_line = max(line, 0.0) / own_speed
             arrives, leaves = other / speed, (other + CLEAR_M) / speed
-            critical = CROSSING_S if is_crossing else MERGING_S
+            critical = scale * (CROSSING_S if is_crossing else MERGING_S)
             is_second = right < 0 or (right == 0 and arrives < own / own_speed)
             is_close = arrives < at_line + critical and leaves > at_line
             is_inside = is_crossing > 0 and abs(other) <= CLEAR_M and leaves > at_line
