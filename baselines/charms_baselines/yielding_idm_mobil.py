@@ -49,7 +49,7 @@ class YieldingIdmMobil(DriverModel):
         acceleration, target_lane = IdmMobil().drive(seen, vehicles)
         if scene.junctions is not None:
             gaps = stop_lines(scene, vehicles, self._critical)
-            _wait(seen, *vehicles, gaps, acceleration)
+            _wait(seen, vehicles[0], vehicles[1], gaps, acceleration)
         return acceleration, target_lane
 
 
