@@ -19,8 +19,8 @@ import polars as pl
 import yaml
 from plan_roads import SEED
 from plan_roads_tables import LIMITS, ROUGH, percentage
-from plan_roads_values import mean_of, values_of
-from result_pages import RESULTS, ROOT, keep
+from plan_roads_values import kept, mean_of, values_of
+from result_pages import ROOT, keep
 
 import charms_bench
 from charms_bench.report.markdown import markdown
@@ -31,6 +31,8 @@ STEPS_OF_LEVEL_1, STEPS = 60_000, 300_000
 """The second are those of all stages together."""
 Document = dict[str, Any]
 COMPLETE, ONE_STYLE, PRIOR = "CHARMS", "one style", "the prior alone, Level-0"
+TUNED = "IDM+MOBIL that gives way, tuned"
+"""See `roads_tuned`."""
 BASELINES = "DQN", "PPO"
 """What learns the style of `ONE_STYLE` in its place."""
 QUANTITIES = {"reached": "goal reached", "at_fault": "at fault or undecided"}
@@ -120,11 +122,16 @@ def drive(folder: Path) -> None:
             if name in VARIANTS:
                 agent["style"] = plan.STYLES[0]
             egos.append({"agent": agent, "label": f"{name}{SEED}{seed}"})
-    suite = {"suite": "ablations", "seed": 990_000_000, "episodes": 300, "egos": egos}
+    run(folder, "ablations", {"egos": egos})
+
+
+def run(folder: Path, name: str, own: Document) -> None:
+    """Runs a suite on the four roads, by default 300 episodes from the first one of the test."""
+    suite = {"suite": name, "seed": 990_000_000, "episodes": 300, **own}
     suite |= {"scene": {"duration_s": 45}, "roads": [*plan.THREE, plan.INTERSECTION]}
-    file = folder / "ablations.yaml"
+    file = folder / f"{name}.yaml"
     file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
-    charms_bench.run(file, folder / "ablations")
+    charms_bench.run(file, folder / name, workers=1)
 
 
 def trained(folder: Path) -> pl.DataFrame:
@@ -137,13 +144,14 @@ def trained(folder: Path) -> pl.DataFrame:
             minutes = sum(each["cpu_s"] for each in found.values()) / 60
             own = {"variant": name, "seed": seed, "onnx_sha256": found["roads"]["onnx_sha256"]}
             records.append(own | {"CPU minutes": round(minutes, 2)})
-    return pl.DataFrame(records)
+    names = {"variant": pl.String, "seed": pl.Int64, "onnx_sha256": pl.String}
+    return pl.DataFrame(records, names | {"CPU minutes": pl.Float64})
 
 
 def differences(values: pl.DataFrame) -> str:
     """What each variant does, and its difference from CHARMS, paired by seed, in %."""
     records = []
-    order = {name: k for k, name in enumerate((*VARIANTS, *BASELINES, PRIOR))}
+    order = {name: k for k, name in enumerate((*VARIANTS, *BASELINES, TUNED, PRIOR))}
     roads = {name: k for k, name in enumerate(LIMITS)}
     place = pl.col("road").replace_strict(roads), pl.col("ego").replace_strict(order)
     for (road, ego), row in values.sort(*place).group_by("road", "ego", maintain_order=True):
@@ -164,17 +172,14 @@ def differences(values: pl.DataFrame) -> str:
 
 
 def tables(folder: Path) -> None:
-    """Writes what the networks do; seeds that are not in the folder keep their rows."""
+    """Writes what the networks do; what is not in the folder keeps its rows."""
     rough = pl.selectors.float().round_sig_figs(4)
     found = values_of(folder, "ablations").drop("test", "traffic")
     driven = found.with_columns(rough).with_columns(ROUGH)
     wide = driven.pivot("road", index=["ego", "seed"], values=[*QUANTITIES, "time_s"])
     networks = trained(folder).rename({"variant": "ego"})
     wide = wide.join(networks, on=["ego", "seed"], how="left")
-    path = RESULTS / "plan-roads-ablations.csv"
-    others = pl.read_csv(path).filter(~pl.col("seed").is_in(wide["seed"].implode()))
-    every = pl.concat([others, wide.select(others.columns)]).sort("ego", "seed")
-    every.write_csv(path)
+    every = kept("plan-roads-ablations", wide, "ego").sort("ego", "seed")
     by_road = [
         every.select("ego", "seed", pl.lit(road).alias("road"),
                      *(pl.col(f"{name}_{road}").alias(name) for name in QUANTITIES))
