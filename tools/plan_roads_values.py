@@ -56,7 +56,7 @@ def kept(name: str, found: pl.DataFrame, key: str) -> pl.DataFrame:
     path = RESULTS / f"{name}.csv"
     before = pl.read_csv(path) if path.exists() else found.clear()
     others = before.join(found, on=[key, "seed"], how="anti", nulls_equal=True)
-    every = pl.concat([others, found], how="vertical_relaxed")
+    every = pl.concat([others, found.select(others.columns)], how="vertical_relaxed")
     every = every.sort([name for name, kind in every.schema.items() if kind != pl.Float64])
     every.write_csv(path)
     return every

@@ -2,8 +2,8 @@
 
     python tools/roads_tuned.py FOLDER
 
-Draws 26 trials with each seed of the ablations, drives them, and drives the best one of each seed in
-the ablations' own test. `write_results.py roads-ablations FOLDER` adds it to the table.
+Draws 26 trials with each seed of the ablations, drives them, and drives the best one of each seed
+in the ablations' own test. `write_results.py roads-ablations FOLDER` adds it to the table.
 """
 
 import sys
