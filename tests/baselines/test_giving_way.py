@@ -1,13 +1,18 @@
-"""Calibrated drivers who give way: when they stop, by hand, and that they still drive."""
+"""Drivers who give way: when they stop, by hand, and that they are the same elsewhere."""
 
 import math
 
 import numpy as np
 import pytest
 from charms_baselines.human import Human
+from charms_baselines.idm_mobil import IdmMobil
+from charms_baselines.mutant import Mutant
 from charms_baselines.yielding_human import YieldingHuman
+from charms_baselines.yielding_idm_mobil import YieldingIdmMobil
 
+from charms_bench import DriverModel
 from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import InputError
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.roads.engine import RoadEngine
 from charms_bench.roads.settings import on_road
@@ -75,9 +80,53 @@ def test_a_driver_waits_for_the_critical_headway(
     assert stop[0] == pytest.approx(expected_m, abs=0.01)  # arcs are polylines
 
 
-def test_on_a_straight_road_the_driver_is_the_calibrated_one() -> None:
+@pytest.mark.parametrize(
+    ("critical", "waits"),
+    [(1.0, True), (0.9, False)],  # it arrives 6.45 s later, and 0.9 of 6.5 s are 5.85 s
+)
+def test_idm_mobil_brakes_before_the_line_as_behind_a_stationary_leader(
+    critical: float, waits: bool
+) -> None:
+    scene, ego = crossing(20.0, 78.0, 10.0).engine.seen_by(EGO)
+    found, _ = YieldingIdmMobil(critical=critical, acceleration_mps2=2.0).drive(scene, ego)
+    p, at = scene.constants.idm_mobil, (0, 0)
+    exponent = p.exponent_low + scene.temperament[at] * (p.exponent_high - p.exponent_low)
+    free = 2 * (1 - (10 / min(scene.target_speed[at], scene.road.speed_limit)) ** exponent)
+    wanted = p.jam_distance_m + 10 * p.time_headway_s + 10 * 10 / (2 * math.sqrt(2 * 5))
+    stopping = free - 2 * (wanted / (p.jam_distance_m + 13.5)) ** 2
+    assert found[0] == pytest.approx(stopping if waits else free, abs=0.01)
+
+
+def test_a_faulty_driver_gives_way_if_it_is_asked_to() -> None:
+    scene, ego = crossing(20.0, 78.0, 10.0).engine.seen_by(EGO)
+    found = [
+        driver.drive(scene, ego)[0][0]
+        for driver in (YieldingIdmMobil(), Mutant(critical=1.0), IdmMobil(), Mutant())
+    ]
+    assert found[0] == found[1] < found[2] == found[3]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"critical": -1.0}, "critical is -1.0; expected 0 to 10"),
+        ({"headway": 1.0}, "no constant 'headway'; expected acceleration_mps2, "),
+        ({"time_headway_s": math.nan}, "time_headway_s is nan; expected 0 to 100"),
+    ],
+)
+def test_wrong_options_are_named(options: dict[str, float], said: str) -> None:
+    with pytest.raises(InputError, match=f"yielding_idm_mobil: {said}"):
+        YieldingIdmMobil(**options)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"), [(Human(), YieldingHuman()), (IdmMobil(), YieldingIdmMobil())]
+)
+def test_on_a_straight_road_a_driver_who_gives_way_is_the_same_one(
+    one: DriverModel, other: DriverModel
+) -> None:
     rows = []
-    for driver in (Human(), YieldingHuman()):
+    for driver in (one, other):
         simulation = Simulation(SceneSettings(), 5, "ego", OneAgent("ego"), {"ego": driver})
         simulation.reset(np.arange(5, dtype=np.uint64))
         for _ in range(9):
