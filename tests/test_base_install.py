@@ -54,11 +54,12 @@ def test_the_ego_suite_runs_with_every_row(without_torch: dict[str, str], tmp_pa
     assert {row["agent"] for row in rows} == {"IDM+MOBIL", "Stackelberg"} | learnt | charms
 
 
-def test_every_agent_of_the_project_can_be_made(without_torch: dict[str, str]) -> None:
+@pytest.mark.parametrize("half", [0, 1])
+def test_every_agent_of_the_project_can_be_made(without_torch: dict[str, str], half: int) -> None:
     listed = json.loads(charms_bench(without_torch, "agents", "--json"))
     ours = [row["name"] for row in listed if row["distribution"] == "charms-bench"]
     assert {"idm_mobil", "stackelberg", "imitation", "prior_level_k", "charms"} <= set(ours)
-    command = [sys.executable, "-c", CHECK_ALL, *ours]
+    command = [sys.executable, "-c", CHECK_ALL, *ours[half::2]]
     checked = subprocess.run(command, env=without_torch, capture_output=True, text=True)
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
