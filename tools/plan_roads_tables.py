@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import plan_roads as plan
 import polars as pl
-from plan_roads_told import told
+from plan_roads_told import told, told_table
 from plan_roads_values import kept, mean_of, trained, values_of
 from result_pages import RESULTS, keep
 from scipy import stats
@@ -93,15 +93,6 @@ def statements(values: pl.DataFrame) -> str:
     return markdown(
         Table.plain(records, ("road", "statement"), dict.fromkeys([*records[0]][2:], ""))
     )
-
-
-def told_table(values: pl.DataFrame) -> str:
-    """How well a style is told from one episode: the mean of the seeds, each held out."""
-    records = [
-        {"road": road, "told by": by, "told right": mean_of(cell["told"].to_numpy(), 0.0, 1.0)}
-        for (road, by), cell in values.group_by("road", "by", maintain_order=True)
-    ]
-    return markdown(Table.plain(records, ("road", "told by"), {"told right": ".1%"}))
 
 
 def straight(folder: Path) -> str:

@@ -8,8 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import plan_roads as plan
 import polars as pl
+from plan_roads_values import mean_of
 
 from charms_bench.metrics.metric import Metric
+from charms_bench.report.markdown import markdown
+from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.world.scene import Floats, SceneSettings
@@ -74,3 +77,12 @@ def told_right(known: Floats, asked: Floats) -> float:
     offsets = np.einsum("sk,kl,sl->s", centres, precision, centres) / 2
     scores = scaled(asked) @ precision @ centres.T - offsets
     return float((scores.argmax(axis=-1) == np.arange(len(centres))[:, None]).mean())
+
+
+def told_table(values: pl.DataFrame) -> str:
+    """How well a style is told from one episode: the mean of the seeds, each held out."""
+    records = [
+        {"road": road, "told by": by, "told right": mean_of(cell["told"].to_numpy(), 0.0, 1.0)}
+        for (road, by), cell in values.group_by("road", "by", maintain_order=True)
+    ]
+    return markdown(Table.plain(records, ("road", "told by"), {"told right": ".1%"}))
