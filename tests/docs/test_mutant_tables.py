@@ -3,7 +3,7 @@
 import mutant_measures as mutants
 import numpy as np
 import pytest
-from mutants import TOTAL
+from mutants import TOTAL, on_roads
 from scipy import stats
 
 
@@ -55,3 +55,22 @@ def test_a_distance_that_is_not_enough_is_a_bound() -> None:
 def test_likeness_is_that_of_the_traffic_models() -> None:
     rows = "| A | ego | 1 | 2 | 3 | 0.50 [0.1, 0.9] |\n| A | traffic | 1 | 2 | 3 | -1 [-2, 0] |\n"
     assert TOTAL.findall(rows) == [("A", "-1 [-2, 0]")]
+
+
+def test_on_all_roads_together_an_episode_is_the_mean_of_those_with_its_seed() -> None:
+    hard, easy = np.tile([1.0, 3.0], (40, 1)), np.tile([1.0, 1.0], (40, 1))
+    hard, easy = (each + np.arange(40)[:, None] / 400 for each in (hard, easy))
+    never, km = np.zeros((40, 2), np.bool_), np.full((40, 2), 0.5)
+    driven = {
+        (road, "IDM"): mutants.Driven(severity, severity, km, never)
+        for road, severity in (("merge", hard), ("exit", easy))
+    }
+    rows = on_roads(driven, {"Delay": [0, 1]}).records()
+    assert [row["road"] for row in rows] == ["merge", "exit", "all"]
+    assert [row["delay"] for row in rows] == ["1", "none", "1"]
+    # The order is found in the fewest episodes that are tried, 10, of 0.5 km, and of 1 km together.
+    assert [row["km until τ ≥ 0.9"] for row in rows] == [
+        "5 [5, 5]",
+        "above 20 [above 20, above 20]",
+        "10 [10, 10]",
+    ]

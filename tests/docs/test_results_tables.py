@@ -31,7 +31,7 @@ def test_every_table_is_on_a_page_and_says_the_same_on_all() -> None:
     assert [name for name, texts in found.items() if len(texts) > 1] == []
     # rare_coverage, rare_comparison.py, likeness_page and mutants write the others.
     written = {*TABLES, "rare-coverage", "rare-intervals", "mutants", "mutants-ladders",
-               "mutants-repetitions", "mutants-repeated-faults"}  # fmt: skip
+               "mutants-roads", "mutants-repetitions", "mutants-repeated-faults"}  # fmt: skip
     written |= {f"likeness-{road}{part}" for road in ("i24", "i75", "released")
                 for part in ("", "-conduct")}  # fmt: skip
     written |= {"likeness-controls-i24", "likeness-controls-i75"}
