@@ -66,7 +66,6 @@ class Mutant(DriverModel):
             p = p._replace(imposed_braking_mps2=self._imposes)
         seen = scene if self._blind_m == 0 else self._unseeing(scene, vehicles)
         seen = seen._replace(constants=scene.constants._replace(idm_mobil=p))
-        seen = seen.at(scene.junctions)
         acceleration, target_lane = self._driver.drive(seen, vehicles)
         for k in range(self._delay):
             at = (*vehicles, np.full(vehicles[0].size, k))

@@ -201,8 +201,7 @@ def called(
 
 def copied(scene: Scene) -> Scene:
     """A copy of all arrays."""
-    copy = scene._replace(**{name: getattr(scene, name).copy() for name in ARRAYS})
-    return copy.at(scene.junctions)
+    return scene._replace(**{name: getattr(scene, name).copy() for name in ARRAYS})
 
 
 def driving(model: DriverModel, scene: Scene, vehicles: Vehicles) -> Answers:

@@ -340,9 +340,14 @@ class Scene(SceneArrays):
 
     def at(self, junctions: Junctions | None) -> "Scene":
         """The same scenes, on a road with junctions or without."""
-        scene = self._replace()
-        vars(scene)["junctions"] = junctions
+        scene = super()._replace()
+        if junctions is not None:
+            vars(scene)["junctions"] = junctions
         return scene
+
+    def _replace(self, **arrays: Any) -> "Scene":
+        """The same scenes with other arrays, at the same junctions."""
+        return super()._replace(**arrays).at(self.junctions)
 
     def __getstate__(self) -> None:
         """A copy of the scene is unpacked anew."""

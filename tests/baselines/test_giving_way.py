@@ -97,6 +97,15 @@ def test_idm_mobil_brakes_before_the_line_as_behind_a_stationary_leader(
     assert found[0] == pytest.approx(stopping if waits else free, abs=0.01)
 
 
+def test_a_scene_with_other_arrays_is_at_the_same_junctions() -> None:
+    scene, ego = crossing(20.0, 78.0, 10.0).engine.seen_by(EGO)
+    stops = [
+        YieldingHuman().stops(each._replace(x=scene.x.copy()), ego)[0]
+        for each in (scene, scene.at(None))
+    ]
+    assert stops == pytest.approx([13.5, math.inf], abs=0.01)
+
+
 def test_a_faulty_driver_gives_way_if_it_is_asked_to() -> None:
     scene, ego = crossing(20.0, 78.0, 10.0).engine.seen_by(EGO)
     found = [
