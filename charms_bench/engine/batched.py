@@ -106,15 +106,15 @@ class BatchedEngine(Engine):
             if vehicles[0].size:
                 answers = model.drive(self._shown, vehicles)
                 obey(scene, vehicles[0], vehicles[1], *answers)
-        held = self._is_ego if hold_egos else self._nobody
+        zero_order_hold = self._is_ego if hold_egos else self._nobody
         if self._prescribed:
-            held = held | self._is_prescribed
+            zero_order_hold = zero_order_hold | self._is_prescribed
         if self._continuous:
-            held = held | self._is_continuous
+            zero_order_hold = zero_order_hold | self._is_continuous
         put = None if before_move is None else before_move()
         if put is None:  # which the argument would say too, but more slowly
-            advance(scene, self._is_modelled, held)
+            advance(scene, self._is_modelled, zero_order_hold)
         else:
-            advance(scene, self._is_modelled, held, put)
+            advance(scene, self._is_modelled, zero_order_hold, put)
         if self._continuous:
             follow_no_lane(scene, self._is_continuous)

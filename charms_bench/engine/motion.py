@@ -37,7 +37,7 @@ class Turning(NamedTuple):
     vehicle: Ints
     """The vehicle's index among all vehicles of the block."""
     is_steered: Bools
-    """Whether the vehicle controls its steering; a crashed vehicle and a held one do not."""
+    """Whether the vehicle controls its steering; not if it has crashed or has a zero-order hold."""
     x: Floats
     """Position before the step, m."""
     lateral: Floats
@@ -108,13 +108,18 @@ def turn(turning: Turning, count: int, c: Constants) -> None:
 
 @compiled
 def move(
-    scene: Scene, first: int, after: int, modelled: Bools, held: Bools, turning: Turning
+    scene: Scene,
+    first: int,
+    after: int,
+    modelled: Bools,
+    zero_order_hold: Bools,
+    turning: Turning,
 ) -> None:
     """Steers and moves the scenes from `first` to before `after` by one step of the bicycle model.
 
-    `modelled` [B, N] marks the vehicles whose acceleration a driver model has set; `held` marks
-    those that keep their acceleration and steering; all others control their target speed
-    [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`].
+    `modelled` [B, N] marks the vehicles whose acceleration a driver model has set;
+    `zero_order_hold` marks those that keep their acceleration and steering; all others control
+    their target speed [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`].
     """
     c, road = scene.constants, scene.road
     x, y = scene.x[first:after].reshape(-1), scene.y[first:after].reshape(-1)
@@ -126,18 +131,19 @@ def move(
     target_lane = scene.target_lane[first:after].reshape(-1)
     timer_s, lane = scene.timer_s[first:after].reshape(-1), scene.lane[first:after].reshape(-1)
     crashed, impact = scene.crashed[first:after].reshape(-1), scene.impact[first:after].reshape(-1)
-    is_modelled, is_held = modelled[first:after].reshape(-1), held[first:after].reshape(-1)
+    is_modelled = modelled[first:after].reshape(-1)
+    has_hold = zero_order_hold[first:after].reshape(-1)
     turns = 0
     for i in range(x.size):
         turning.vehicle[turns] = i
         # The functions of a vehicle that goes straight would give 0 and 1.
         _, lateral = local_coordinates(road, target_lane[i], x[i], y[i])
         is_beside = (lateral != 0.0) & (not crashed[i])
-        turns += (heading[i] != 0.0) | is_beside | (is_held[i] & (steering[i] != 0.0))
+        turns += (heading[i] != 0.0) | is_beside | (has_hold[i] & (steering[i] != 0.0))
     for k in range(turns):
         i = index(turning.vehicle[k])
-        turning.is_steered[k] = not (crashed[i] or is_held[i])
-        turning.steering[k] = steering[i] if is_held[i] and not crashed[i] else 0.0
+        turning.is_steered[k] = not (crashed[i] or has_hold[i])
+        turning.steering[k] = steering[i] if has_hold[i] and not crashed[i] else 0.0
         turning.x[k] = x[i]
         _, turning.lateral[k] = local_coordinates(road, target_lane[i], x[i], y[i])
         turning.heading[k] = heading[i]
@@ -147,7 +153,7 @@ def move(
     for i in range(x.size):
         v = speed[i]
         wanted = towards_speed(v, target_speed[i], c.tau_acceleration)
-        wanted = acceleration[i] if is_modelled[i] | is_held[i] else wanted
+        wanted = acceleration[i] if is_modelled[i] | has_hold[i] else wanted
         wanted = -1.0 * v if crashed[i] else wanted
         acceleration[i] = limited(wanted, v, c.speed_min, c.speed_max)
     for i in range(x.size):

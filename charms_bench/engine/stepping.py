@@ -54,7 +54,7 @@ BeforeMove = Callable[[], Put | None]
 
 
 @compiled_of_scenes
-def advance(scene: Scene, modelled: Bools, held: Bools, put: Put | None = None) -> None:
+def advance(scene: Scene, modelled: Bools, zero_order_hold: Bools, put: Put | None = None) -> None:
     """One simulation step of every active scene, after the driver models have acted; see `move`.
 
     Vehicles are put somewhere before collisions are found; without any, no code for it is compiled.
@@ -62,7 +62,7 @@ def advance(scene: Scene, modelled: Bools, held: Bools, put: Put | None = None) 
     vehicles = scene.x.shape[1]
     turning = room_to_turn(max(BLOCK_VEHICLES, vehicles))
     for first, after in blocks_of(scene.active, vehicles):
-        move(scene, first, after, modelled, held, turning)
+        move(scene, first, after, modelled, zero_order_hold, turning)
         if put is not None:
             put_vehicles(scene, first, after, put)
         sort_by_x(scene, first, after)

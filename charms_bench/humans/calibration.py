@@ -98,7 +98,7 @@ def fit_population(model: Model, trips: Sequence[Trip], lag_s: float) -> Fit:
     size, count = usual.size, len(own)
     mean = np.concatenate([usual, situations.mean(axis=0)])
     prior = covariance = np.eye(mean.size) * SPREAD_SD**2
-    pull = np.diag(np.repeat([PRIOR_SD**-2, 0.0], [size, situations.shape[1]]))
+    prior_precision = np.diag(np.repeat([PRIOR_SD**-2, 0.0], [size, situations.shape[1]]))
     posterior, evidence = np.zeros((count, mean.size, mean.size)), np.zeros(count)
     for _ in range(ITERATIONS):
         for d, driver in enumerate(own):
@@ -108,7 +108,8 @@ def fit_population(model: Model, trips: Sequence[Trip], lag_s: float) -> Fit:
         joint = np.concatenate([modes, situations], axis=1)
         precision = np.linalg.inv(covariance) * count
         around = np.concatenate([usual, mean[size:]])
-        mean = np.linalg.solve(precision + pull, precision @ joint.mean(axis=0) + pull @ around)
+        weighted = precision @ joint.mean(axis=0) + prior_precision @ around
+        mean = np.linalg.solve(precision + prior_precision, weighted)
         apart = joint - mean
         scatter = apart.T @ apart + posterior.sum(axis=0) + prior * SPREAD_DRIVERS
         covariance = scatter / (count + SPREAD_DRIVERS)

@@ -26,7 +26,8 @@ class Policy(ABC):
     """Its meta-actions, such as `(*DEFAULT_ACTIONS, MetaAction("BRAKE",
     speed_from_present_mps=-6.0))`. By default they are highway-env's, whose FASTER and SLOWER
     change the target speed as the profile says; with `with_speed_steps(0.25, 0.5, 1.0, 2.0)`, they
-    have steps of their own. `continuous` actions are held until its next decision."""
+    have steps of their own. `continuous` actions are kept until its next decision (zero-order
+    hold)."""
 
     observation: ObservationLike = "neighbours"
     """The observation that the policy receives."""

@@ -61,7 +61,7 @@ def test_a_network_that_says_what_the_label_says_does_not_diverge() -> None:
     assert float(divergence(floored.log() + 7.0, labels, 0.02)) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_pull_is_the_squared_distance_over_all_weights() -> None:
+def test_l2_anchoring_is_the_squared_distance_over_all_weights() -> None:
     now = [torch.tensor([[1.0, 2.0]]), torch.tensor([3.0])]
     before = [torch.tensor([[0.0, 4.0]]), torch.tensor([0.0])]
     assert float(squared_distance(now, before)) == 1.0 + 4.0 + 9.0
@@ -99,20 +99,20 @@ def test_what_is_learnt_holds_for_held_out_drivers() -> None:
     assert last.agreement > 0.8
 
 
-def test_a_strong_pull_keeps_the_network_where_it_started() -> None:
+def test_strong_l2_anchoring_keeps_the_network_where_it_started() -> None:
     start = layers_of(untrained((8,), 0))
 
-    def moved(pull: float) -> float:
-        layers = layers_of(fitted(epochs=20, learning_rate=0.01, pull=pull).network)
+    def moved(anchoring: float) -> float:
+        layers = layers_of(fitted(epochs=20, learning_rate=0.01, pull=anchoring).network)
         pairs = zip(layers, start, strict=True)
         return float(sum(((w - v) ** 2).sum() + ((b - c) ** 2).sum() for (w, b), (v, c) in pairs))
 
-    assert moved(pull=10.0) < 0.1 * moved(pull=0.0)
+    assert moved(anchoring=10.0) < 0.1 * moved(anchoring=0.0)
 
 
 def test_the_first_step_follows_the_slope_of_the_whole_loss() -> None:
     # Adam's first step has the size of the learning rate, against the sign of the gradient; where
-    # it starts the pull has none. With all values equal, p = 1/5 and the gradient of the
+    # it starts L2 anchoring has none. With all values equal, p = 1/5 and the gradient of the
     # divergence with respect to a bias is p (log(p / y) - mean of log(p / y)): positive for the
     # labels' zeros, negative for their one.
     network = network_of([(np.zeros((5, 35), np.float32), np.zeros(5, np.float32))])
@@ -175,16 +175,16 @@ def test_the_held_out_samples_do_not_decide_on_the_temperature() -> None:
     assert curves[0][0].log_likelihood != curves[1][0].log_likelihood
 
 
-def test_the_pull_is_on_the_weights_for_standardised_observations() -> None:
+def test_l2_anchoring_is_on_the_weights_for_standardised_observations() -> None:
     start = folded(untrained((8,), 0))
     fit = Fit(start, samples(), Supervised(learning_rate=0.01, pull=0.3), 0, standardised=True)
-    loss_without_pull = Supervised(learning_rate=0.01, pull=0.0)
-    without = Fit(start, samples(), loss_without_pull, 0, standardised=True)
+    without_anchoring = Supervised(learning_rate=0.01, pull=0.0)
+    without = Fit(start, samples(), without_anchoring, 0, standardised=True)
     for weights in (fit, without):
         with torch.no_grad():
             weights._parameters[0].add_(0.5)  # of 8 x 35 weights
-    pulled = fit._measured(0).loss - without._measured(0).loss
-    assert pulled == pytest.approx(0.3 * 8 * 35 * 0.25, rel=1e-3)
+    anchoring = fit._measured(0).loss - without._measured(0).loss
+    assert anchoring == pytest.approx(0.3 * 8 * 35 * 0.25, rel=1e-3)
 
 
 def test_what_is_rehearsed_changes_less() -> None:

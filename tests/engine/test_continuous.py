@@ -118,7 +118,7 @@ def test_full_braking_ends_in_reverse_at_highway_envs_lowest_speed(engine: MakeE
     assert running.scene.x[0, 0] < 300
 
 
-def test_an_action_is_held_until_the_next() -> None:
+def test_an_action_has_a_zero_order_hold_until_the_next() -> None:
     running = simulation(FREE)
     for _ in range(5):
         running.advance(action(0.5, 0.1) if running.phase == 0 else None)

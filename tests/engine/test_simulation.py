@@ -116,14 +116,16 @@ def test_an_ego_is_asked_as_often_as_the_profile_says(
     simulation.step()
     assert (len(ego.asked), len(other.asked)) == (2 * per_decision, 10)
     np.testing.assert_allclose(simulation.scene.timer_s[0], timer_s + 10 / 15)
-    held_mps = 30.0 + (5 * 0.5 + 5 * 1.0) / 15
+    zero_order_hold_mps = 30.0 + (5 * 0.5 + 5 * 1.0) / 15
     every_step_mps = 30.0 + 0.5 * sum(range(1, 11)) / 15
-    expected = held_mps if rate == "decision" else every_step_mps
+    expected = zero_order_hold_mps if rate == "decision" else every_step_mps
     assert simulation.scene.speed[0, 0] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_held_command_stays_as_highway_env_has_limited_it(engine: MakeEngine) -> None:
+def test_a_command_in_a_zero_order_hold_stays_as_highway_env_has_limited_it(
+    engine: MakeEngine,
+) -> None:
     """At 40 m/s, 33 - 40 = -7 m/s2 is commanded; the ego keeps that while it slows down."""
     settings = SceneSettings(traffic_vehicles=0, ego_slots=1)
     simulation = Simulation(settings, 1, "ego", OneAgent("ego"), {"ego": Counting()}, engine)
@@ -137,7 +139,9 @@ def test_a_held_command_stays_as_highway_env_has_limited_it(engine: MakeEngine) 
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_held_ego_keeps_its_steering_angle_during_a_decision(engine: MakeEngine) -> None:
+def test_an_ego_with_a_zero_order_hold_keeps_its_steering_angle_during_a_decision(
+    engine: MakeEngine,
+) -> None:
     settings = SceneSettings(traffic_vehicles=0, ego_slots=1)
     simulation = Simulation(settings, 1, None, OneAgent("none"), {"none": Always()}, engine)
     simulation.reset(np.zeros(1, dtype=np.uint64))

@@ -36,8 +36,8 @@ def test_the_first_step_vehicle_and_quantity_that_differ_are_named(
 ) -> None:
     advance, calls = batched.advance, []
 
-    def gusty(scene: Scene, modelled: Bools, held: Bools) -> None:
-        advance(scene, modelled, held)
+    def gusty(scene: Scene, modelled: Bools, zero_order_hold: Bools) -> None:
+        advance(scene, modelled, zero_order_hold)
         calls.append(1)
         if len(calls) == 7:
             scene.y[0, 4] += 1e-5  # a gust in the seventh step

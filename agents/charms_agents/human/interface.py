@@ -63,16 +63,16 @@ def through_interface(
         again = np.minimum(np.where(signs * repeats > 0, abs(repeats) + 1, 1), most)
         step = np.take_along_axis(changes, again - 1, axis=1)
         aimed = np.where(relative, speed, target) + step
-        after, held = np.broadcast_to(speed, aimed.shape), np.zeros(aimed.shape)
+        after, acceleration = np.broadcast_to(speed, aimed.shape), np.zeros(aimed.shape)
         for frame in range(frames):
             if frame < controlled:
-                held = (aimed - after) / profile.tau_acceleration_s
-            after = after + held / SIMULATION_HZ
+                acceleration = (aimed - after) / profile.tau_acceleration_s
+            after = after + acceleration / SIMULATION_HZ
         # Of options that are equally near, the slowest, as for the first of them in order.
         best = np.lexsort((after.T, abs(after - speeds[k + 1]).T))[:, 0]
         rows = best, np.arange(count)
         result.actions[k] = options[best]
-        speed, target, last = after[rows], aimed[rows], held[rows]
+        speed, target, last = after[rows], aimed[rows], acceleration[rows]
         repeats = (signs * again)[rows]
         result.speed[k + 1] = speed
     return result

@@ -1,7 +1,7 @@
 """Stages that learn from human driving, eq. 11 of the paper.
 
 Fine-tuning starts from a trained network. Imitation starts from an untrained one, without L2
-anchoring (`pull`).
+anchoring.
 
 The softmax of eq. 11 is that of Q / T, where T is how far the starting network's values of the
 actions differ: a trained network predicts people worse than chance, so a temperature fitted to it
@@ -45,8 +45,8 @@ class Fit:
         network: The network to start from, which takes plain observations; it is not changed.
         samples: The samples; held-out ones are only measured.
         seed: Decides the order of the samples.
-        standardised: Whether the weights that learn, and are pulled back to their start, are those
-            of the equal network for standardised observations.
+        standardised: Whether the weights that learn, and that L2 anchoring keeps near their start,
+            are those of the equal network for standardised observations.
         own_driving: Observations (M, 7, 5) to rehearse; None without `Supervised.rehearsal`.
     """
 
@@ -192,7 +192,7 @@ def spread(values: Tensor) -> float:
 
 
 def agreement(values: NDArray[np.float32], labels: NDArray[np.float32]) -> float:
-    """Share of rows in which the network's action is a most probable action of the label.
+    """Proportion of rows in which the network's action is a most probable action of the label.
 
     The network takes the first action with the highest value, like `OnnxPolicy`.
     """
