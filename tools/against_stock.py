@@ -1,8 +1,8 @@
 """Compares the compiled engine with stock highway-env: `python tools/against_stock.py FOLDER`.
 
 Stock highway-env has nothing replaced. The compiled engine, and stock highway-env under another
-NumPy dispatch, are each held against it in the same episodes. FOLDER keeps the results in chunks of
-50 episodes, so the command continues where it was interrupted. `--chunks N` sets the number of
+NumPy dispatch, are each compared with it in the same episodes. FOLDER keeps the results in chunks
+of 50 episodes, so the command continues where it was interrupted. `--chunks N` sets the number of
 chunks of each profile, by default 20. An episode of highway-env takes one core about a second.
 
 IDM+MOBIL drives the traffic. It also drives the ego in every second chunk; in the other chunks,

@@ -121,11 +121,11 @@ def intervals(plain: Number, made: Sequence[Number]) -> str:
     """The rest of a line of the table of intervals."""
     low, high = np.array([(each.low, each.high) for each in made]).T
     mean = np.mean([each.value for each in made])
-    held = int(((low <= plain.value) & (plain.value <= high)).sum())
+    covering = int(((low <= plain.value) & (plain.value <= high)).sum())
     return (
         f" {plain.value:.2e} [{plain.low:.2e}, {plain.high:.2e}] | {mean:.2e} | "
         f"{np.mean([each.n for each in made]):,.0f} | {np.median(high / low):.1f} | "
-        f"{held} of {len(made)} |"
+        f"{covering} of {len(made)} |"
     )
 
 

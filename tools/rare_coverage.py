@@ -42,7 +42,7 @@ def write() -> None:
 def line(name: str, probability: float, samples: int) -> str:
     """Returns the row of an event."""
     level, means = PROBLEMS[name](probability), []
-    held, repetitions = np.zeros(len(RUNS)), REPETITIONS[samples]
+    covering, repetitions = np.zeros(len(RUNS)), REPETITIONS[samples]
     for repetition in range(repetitions):
         rng = np.random.default_rng([repetition, round(-np.log10(probability)), samples])
         pilot = pilot_run(level, 2, samples, rng)
@@ -50,13 +50,13 @@ def line(name: str, probability: float, samples: int) -> str:
         means.append(np.mean([run.probability for run in runs]) / probability)
         for place, count in enumerate(RUNS):
             low, high = interval(runs[:count], samples)
-            held[place] += low <= probability <= high
+            covering[place] += low <= probability <= high
     error = np.std(means, ddof=1) / repetitions**0.5
     cells = (
         name.replace("_", "-"),
         f"{probability:.0e}",
         f"{samples}",
         f"{np.mean(means):.3f} ± {error:.3f}",
-        *(f"{each / repetitions:.1%}".replace("%", " %") for each in held),
+        *(f"{each / repetitions:.1%}".replace("%", " %") for each in covering),
     )
     return f"| {' | '.join(cells)} |"

@@ -1,8 +1,8 @@
 """Compares an environment with stock highway-env: `python tools/roads_against_stock.py FOLDER`.
 
 `--road NAME` names the environment, by default merge-v0. Stock highway-env has nothing replaced.
-The environment of charms-bench, and stock highway-env under another NumPy dispatch, are each held
-against it in the same episodes, with the same actions: those of `charms-bench verify --road`.
+The environment of charms-bench, and stock highway-env under another NumPy dispatch, are each
+compared with it in the same episodes, with the same actions: those of `charms-bench verify --road`.
 `--episodes N` sets their number, by default 200. An episode differs if after any decision the
 number of vehicles, the lane or the crash of one or the ending differs, or if a position, heading,
 speed, observation or reward differs by more than 1e-6. It is compared up to its 200th decision.

@@ -26,15 +26,15 @@ def test_humans_are_as_near_to_their_distribution_as_a_perfect_simulator(
     count: int, values: int
 ) -> None:
     rng, repetitions = np.random.default_rng(1), 100
-    held = np.zeros(2)
+    covering = np.zeros(2)
     for _ in range(repetitions):
         units = drivers(count, values, rng)
         truth, samples = perfect_samples(units, rng)
         for k, distance in enumerate((js_divergence, lambda p, q: wasserstein(p, q, WIDTH))):
             low, high = np.quantile(distance(samples, truth), [0.025, 0.975])
-            held[k] += low <= distance(units.sum(axis=0), TRUTH) <= high
+            covering[k] += low <= distance(units.sum(axis=0), TRUTH) <= high
     # 100 of 95 %: standard deviation 2.2 %. Seven values tell little about their distribution.
-    assert (held / repetitions >= (0.80 if count < 10 else 0.89)).all()
+    assert (covering / repetitions >= (0.80 if count < 10 else 0.89)).all()
 
 
 def test_samples_have_as_many_values_as_were_recorded() -> None:
