@@ -280,7 +280,7 @@ def completed_safety(scene: Scene, i: int, horizon_s: float, loses_mps: float) -
     """The completed r_s of vehicle i, from times to collision if vehicles ahead lose speed."""
     lane, target = scene.lane[0, i], scene.target_lane[0, i]
 
-    def share(behind: int, ahead: int) -> float:
+    def safe(behind: int, ahead: int) -> float:
         if -1 in (behind, ahead):
             return 1.0
         bumpers = (scene.length[0, behind] + scene.length[0, ahead]) / 2
@@ -292,6 +292,6 @@ def completed_safety(scene: Scene, i: int, horizon_s: float, loses_mps: float) -
 
     leader, follower = neighbours(scene, i, target)
     if lane == target:
-        return share(i, leader)
-    left = share(i, neighbours(scene, i, lane)[0])
-    return min((share(i, leader) + share(follower, i)) / 2, left)
+        return safe(i, leader)
+    left = safe(i, neighbours(scene, i, lane)[0])
+    return min((safe(i, leader) + safe(follower, i)) / 2, left)

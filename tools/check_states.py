@@ -4,7 +4,8 @@ Episodes are simulated, and their states are kept after every simulation step an
 Then scenes are restored from randomly chosen states and simulated to the end of their episodes, or
 for `--steps` simulation steps. At each step, their state must be the one that was kept, to the last
 bit. `--batched`, `--reference` and `--across` set how many states are restored in the compiled
-engine, in highway-env, and in the engine that did not save them. Each traffic gets an equal share.
+engine, in highway-env, and in the engine that did not save them. All traffic models get equally
+many.
 """
 
 import argparse

@@ -82,8 +82,8 @@ def per_1000_km(driven: Driven, searched: Floats, rng: np.random.Generator) -> N
         return Number(0.0, None, None, len(sums))
 
     def rate(means: Floats) -> Floats:
-        share = means[..., 3] / np.maximum(means[..., 2], 1e-12)
-        return np.asarray(share * means[..., 0] / means[..., 1])
+        avoidable = means[..., 3] / np.maximum(means[..., 2], 1e-12)
+        return np.asarray(avoidable * means[..., 0] / means[..., 1])
 
     low, high = np.quantile(rate(resampled_means(sums, rng)), [0.025, 0.975])
     return Number(float(rate(sums.mean(axis=0))), low, high, len(sums))

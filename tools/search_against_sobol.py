@@ -17,8 +17,8 @@ from charms_bench.runs.suite import Cell, load_suite
 from charms_bench.world.parameter_points import sobol
 
 AT_ONCE = 256
-SHARE_POINTS = 4096
-"""Sobol points from which the share of failures is estimated."""
+RATE_POINTS = 4096
+"""Sobol points from which the failure rate is estimated."""
 
 
 def main() -> None:
@@ -46,10 +46,10 @@ def main() -> None:
         return Search(cell, references, suite.folder)
 
     whole = started()
-    for first in range(0, SHARE_POINTS, AT_ONCE):
+    for first in range(0, RATE_POINTS, AT_ONCE):
         whole.values(sobol(dimensions, first, AT_ONCE))
     failures = len(whole.failures)
-    print(f"failures: {failures} of {SHARE_POINTS} Sobol points ({failures / SHARE_POINTS:.2%})")
+    print(f"failures: {failures} of {RATE_POINTS} Sobol points ({failures / RATE_POINTS:.2%})")
     for names, count in Counter(map(" and ".join, whole.preventable_by)).items():
         print(f"preventable by {names}: {count}")
 

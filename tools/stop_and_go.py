@@ -68,7 +68,7 @@ def open_road(
             "traffic_vehicles": 0,
             "ego_slots": 1,
             "duration_s": 60 * minutes,
-            "vehicle_types": [{"name": "car", "share": 1.0, "desired_speed_mps": desired}],
+            "vehicle_types": [{"name": "car", "proportion": 1.0, "desired_speed_mps": desired}],
             "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 3000},
         }
     )

@@ -44,10 +44,10 @@ class Pch(Mixture):
         of_priority = {"efficient": beta, "safe": 1 - beta}
         own = {"-".join(style): name for name, style in agents_of(family).items()}
         agents = own | _checked(styles or {})
-        shares = dict.fromkeys(agents.values(), 0.0)
+        composition = dict.fromkeys(agents.values(), 0.0)
         for priority, svo in STYLES.values():  # one agent may drive in several styles
-            shares[agents[f"{priority}-{svo}"]] += of_priority[priority] * of_svo[svo]
-        super().__init__(shares)
+            composition[agents[f"{priority}-{svo}"]] += of_priority[priority] * of_svo[svo]
+        super().__init__(composition)
 
 
 def _checked(styles: object) -> dict[str, str]:

@@ -58,8 +58,8 @@ class Gipps(DriverModel):
         """The speed (M,) that drivers would have after the reaction time on lanes (M,)."""
         speed = scene.speed[vehicles]
         gain, braking, desired = scene.parameters[vehicles][:, :3].T
-        share = np.clip(speed / desired, 0.0, None)
-        free = speed + 2.5 * gain * REACTION_S * (1 - share) * np.sqrt(0.025 + share)
+        ratio = np.clip(speed / desired, 0.0, None)
+        free = speed + 2.5 * gain * REACTION_S * (1 - ratio) * np.sqrt(0.025 + ratio)
         ahead, there = scene.leader(vehicles, lane)
         gap = scene.gap_to(vehicles, ahead)
         safe = _safe_speed(speed, scene.speed[vehicles[0], ahead], gap, braking)

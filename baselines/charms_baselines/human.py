@@ -214,8 +214,8 @@ def _choose(p: Floats, scene: Scene, b: int, i: int, draws: Floats, d: _Driving)
         quantiles = draws[_OF_A_TRY * k - len(QUANTILES) :] if k > 0 else scene.parameters[b, i]
         _draw(p, quantiles, time_gap, speed, is_led, d)
         first = abs(_behind(scene, b, i, leader, p))
-        share = min(first / DEVIATION_MPS2, 10.0)
-        if attempt == TRIES or draws[_OF_A_TRY * k] < maths.exp(-share * share / 2):
+        deviations = min(first / DEVIATION_MPS2, 10.0)
+        if attempt == TRIES or draws[_OF_A_TRY * k] < maths.exp(-deviations * deviations / 2):
             break
         if first < smallest:
             best, smallest = k, first

@@ -14,7 +14,7 @@ from charms_bench.world.idm_mobil import (
     closing_speed,
     desired_gap,
     free_acceleration,
-    share_of_speed,
+    speed_ratio,
 )
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.road import Straight, distance_along
@@ -101,7 +101,7 @@ def on_own_lane(
         leader = leaders[index((rows[m] * vehicles + places[m]) * len(CANDIDATES) + OWN)]
         j = index(rows[m] * vehicles + leader) if leader >= 0 else i
         v, ux, uy = speed[i], direction_x[i], direction_y[i]
-        free[m] = share_of_speed(v, target_speed[i], road.speed_limit)
+        free[m] = speed_ratio(v, target_speed[i], road.speed_limit)
         leading = Velocity(speed[j], direction_x[j], direction_y[j])
         wanted[m] = desired_gap(v, closing_speed(Velocity(v, ux, uy), leading), p)
         gap[m] = distance_along(road, lane[i], x[i], y[i], x[j], y[j])
@@ -130,6 +130,6 @@ def following(
     if not vehicle.exists:
         return 0.0
     road, exponent, p = driver
-    share = share_of_speed(vehicle.speed, vehicle.target_speed, road.speed_limit)
-    free = free_acceleration(share, exponent, p.acceleration_mps2)
+    ratio = speed_ratio(vehicle.speed, vehicle.target_speed, road.speed_limit)
+    free = free_acceleration(ratio, exponent, p.acceleration_mps2)
     return free - interaction(road, vehicle, leader, p)

@@ -63,8 +63,8 @@ def drive_block(
     all_targets = targets.ravel()
     exponents = np.empty(rows.size)
     for m in range(rows.size):
-        share = temperament[index(rows[m] * vehicles + places[m])]
-        exponents[m] = p.exponent_low + share * (p.exponent_high - p.exponent_low)
+        fraction = temperament[index(rows[m] * vehicles + places[m])]
+        exponents[m] = p.exponent_low + fraction * (p.exponent_high - p.exponent_low)
     free, wanted = on_own_lane(scene, rows, places, exponents, p)
     scene_of_fastest, fastest, uneven = -1, 0.0, 0.0
     for m in range(rows.size):

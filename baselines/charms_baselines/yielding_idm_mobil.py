@@ -15,7 +15,7 @@ from charms_bench.world.idm_mobil import (
     desired_gap,
     free_acceleration,
     interaction,
-    share_of_speed,
+    speed_ratio,
 )
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Scene, Vehicles
@@ -63,8 +63,8 @@ def _wait(scene: Scene, rows: Ints, places: Ints, gaps: Floats, acceleration: Fl
             continue
         speed, target_speed = scene.speed[b, i], scene.target_speed[b, i]
         exponent = p.exponent_low + scene.temperament[b, i] * (p.exponent_high - p.exponent_low)
-        share = share_of_speed(speed, target_speed, scene.road.speed_limit)
-        free = free_acceleration(share, exponent, p.acceleration_mps2)
+        ratio = speed_ratio(speed, target_speed, scene.road.speed_limit)
+        free = free_acceleration(ratio, exponent, p.acceleration_mps2)
         wanted, distance = desired_gap(speed, speed, p), gaps[m] + p.jam_distance_m
         stopping = free - interaction(wanted, distance, p.acceleration_mps2)
         limit = p.acceleration_limit_mps2

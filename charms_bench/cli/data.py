@@ -128,11 +128,11 @@ def _print_learnable(name: str, found: Any) -> None:
         f"\n{name}: {found.accepted:,} decisions are accepted, {found.two_actions:z.1%} of them "
         f"with two actions; {found.training:,} samples for training, {found.held_out:,} held out"
     )
-    shares = [
+    proportions = [
         {"label": action} | {title: each[action] for title, each in found.label_shares.items()}
         for action in next(iter(found.label_shares.values()), {})
     ]
-    print_records("label", shares, dict.fromkeys(found.label_shares, ".1%"))
+    print_records("label", proportions, dict.fromkeys(found.label_shares, ".1%"))
     reason = "rejected because"
     rejected = [{reason: each, "decisions": n} for each, n in found.rejected.items() if n]
     print_records(reason, rejected, {"decisions": ",.0f"})

@@ -68,8 +68,8 @@ def traffic(
     """Print the proportions of agents in a traffic model."""
     from charms_bench.plugins.registry import make_traffic
     from charms_bench.plugins.traffic import SAMPLED, proportions
+    from charms_bench.report.figures.composition import draw
     from charms_bench.report.figures.drawing import save
-    from charms_bench.report.figures.shares import draw
     from charms_bench.report.table import Column, Table
     from charms_bench.report.terminal import drawn
 
@@ -82,7 +82,8 @@ def traffic(
         end_with_json({"traffic": name, "options": options, "shares": found})
     records = [{"agent": agent, "proportion": each} for agent, each in found.items()]
     columns = (Column("proportion", form=".1%"),)
-    out().print(drawn(Table.from_records(records, "shares", "", ("agent",), columns), out().width))
+    table = Table.from_records(records, "composition", "", ("agent",), columns)
+    out().print(drawn(table, out().width))
     say(f"Counted among {SAMPLED:,} vehicles.")
     if figure is not None:
         say(f"Figure: {shown(figure)}")

@@ -12,7 +12,7 @@ come while it lasts. Its generator draws the given ones in their order, and more
 import numpy as np
 
 from charms_bench.foundation.compiled import compiled
-from charms_bench.foundation.generator import State, random, share_of_integers
+from charms_bench.foundation.generator import State, random, uniform_for_integers
 from charms_bench.world.scene import Floats, SceneSettings
 
 PER_VEHICLE = 8
@@ -44,10 +44,10 @@ def _draw(states: State, vehicles: int, ego_slots: int, lanes: int) -> Floats:
     draws = np.zeros((len(states), 1 + 4 * vehicles))
     for r in range(len(states)):
         state = states[r]
-        draws[r, 0] = share_of_integers(state, ego_slots)
+        draws[r, 0] = uniform_for_integers(state, ego_slots)
         ego = int(draws[r, 0] * ego_slots)
         for i in range(vehicles):
-            draws[r, LANE + 4 * i] = share_of_integers(state, lanes)
+            draws[r, LANE + 4 * i] = uniform_for_integers(state, lanes)
             if i != ego:
                 draws[r, SPEED + 4 * i] = random(state)
             draws[r, DISTANCE + 4 * i] = random(state)

@@ -111,8 +111,8 @@ def count_repeats(scene: Scene, b: int, i: int, sign: int, most: int) -> None:
 def index_of(speed: float, speeds: Floats) -> int:
     """The index of the nearest target speed [`MDPVehicle.speed_to_index`]."""
     last = speeds.size - 1
-    share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
-    return int(min(max(round(share * last), 0), last))
+    fraction = (speed - speeds[0]) / (speeds[-1] - speeds[0])
+    return int(min(max(round(fraction * last), 0), last))
 
 
 @compiled

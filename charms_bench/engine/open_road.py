@@ -122,10 +122,10 @@ class Inflow(Source):
         drawn = draw_vehicles(episodes.settings, episodes.seeds[[row]], entry, is_ego)
         desired, length, width = (float(each[0, 0]) for each in drawn)
         rng = np.random.default_rng([int(episodes.seeds[row]), STREAM, int(number)])
-        share, temperament = rng.random(2).tolist()
+        fraction, temperament = rng.random(2).tolist()
         low, high = profile.spawn_speed_low, profile.spawn_speed_high
         if math.isnan(desired):
-            desired = (low + (high - low) * share) * profile.speed_limit_mps
+            desired = (low + (high - low) * fraction) * profile.speed_limit_mps
         return _Arrival(int(number), desired, length, width, temperament)
 
     def _admit(self, row: int, newcomer: _Arrival, lane: int, speed: float) -> None:

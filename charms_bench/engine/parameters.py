@@ -35,17 +35,17 @@ def set_parameters(episodes: RunningEpisodes, rows: Ints, places: Ints | None = 
     types = (*settings.vehicle_types, VehicleType(name="profile", share=1.0))
     for agent, ranges in episodes.ranges.items():
         own_stream = crc32(episodes.agents[agent].encode())
-        shares = np.full((*entry.shape, len(ranges)), 0.5)
+        uniforms = np.full((*entry.shape, len(ranges)), 0.5)
         for r, seed in enumerate(seeds if settings.scenario is None else ()):
             # Each model has its own random stream: other drivers do not change the draws.
             source = np.random.PCG64([int(seed), _STREAM, own_stream])
             first = entry[r].min()
             rng = np.random.Generator(source.advance(int(first) * len(ranges)))
             numbers = rng.random((entry[r].max() + 1 - first, len(ranges)))
-            shares[r] = numbers[entry[r] - first]
+            uniforms[r] = numbers[entry[r] - first]
         for k, each in enumerate(types):
             own = (drivers == agent) & (kinds == k)
-            independent = np.hstack([of_vehicles[own], shares[own]])
+            independent = np.hstack([of_vehicles[own], uniforms[own]])
             of_type = each.correlated((*OF_VEHICLES, *ranges), independent)
             for n, (name, default) in enumerate(ranges.items()):
                 value = each.driver_parameters.get(name, default)

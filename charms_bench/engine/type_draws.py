@@ -24,9 +24,10 @@ def draw_types(
     those of the scene.
     """
     types, vehicles = settings.vehicle_types, settings.vehicles
-    kinds, shares = np.full(entry.shape, len(types)), np.zeros((*entry.shape, len(OF_VEHICLES)))
+    kinds = np.full(entry.shape, len(types))
+    uniforms = np.zeros((*entry.shape, len(OF_VEHICLES)))
     if not types:
-        return kinds, shares
+        return kinds, uniforms
     ends = np.cumsum([each.share for each in types])[:-1]
     for r, seed in enumerate(seeds):
         rng = np.random.default_rng([int(seed), _STREAM])
@@ -34,14 +35,14 @@ def draw_types(
         at_start = entry[r] < vehicles
         kinds[r, at_start] = drawn[entry[r, at_start]]
         for k in range(len(OF_VEHICLES)):
-            shares[r, at_start, k] = rng.random(vehicles)[entry[r, at_start]]
+            uniforms[r, at_start, k] = rng.random(vehicles)[entry[r, at_start]]
         for m in np.nonzero(~at_start)[0] if settings.inflow or settings.network else ():
             rng = np.random.default_rng([int(seed), _STREAM, int(entry[r, m])])
             kinds[r, m] = np.searchsorted(ends, rng.random(), side="right")
-            shares[r, m] = rng.random(len(OF_VEHICLES))
+            uniforms[r, m] = rng.random(len(OF_VEHICLES))
     names = [*(each.name for each in types), None]
     kinds[is_ego] = names.index(settings.ego_type)
-    return kinds, shares
+    return kinds, uniforms
 
 
 def draw_vehicles(
@@ -54,10 +55,10 @@ def draw_vehicles(
     profile = settings.profile
     sizes = profile.vehicle_length_m, profile.vehicle_width_m
     desired, length, width = (np.full(entry.shape, value) for value in (np.nan, *sizes))
-    kinds, shares = draw_types(settings, seeds, entry, is_ego)
+    kinds, uniforms = draw_types(settings, seeds, entry, is_ego)
     for k, each in enumerate(settings.vehicle_types):
         own = kinds == k
-        found = each.correlated(OF_VEHICLES, shares[own])
+        found = each.correlated(OF_VEHICLES, uniforms[own])
         values = (each.desired_speed_mps, each.length_m, each.width_m)
         for n, (array, value) in enumerate(zip((desired, length, width), values, strict=True)):
             if value is not None:

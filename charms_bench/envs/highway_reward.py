@@ -18,9 +18,9 @@ def highway_reward(
 ) -> float:
     """The reward of highway-env 1.12's `highway-v0`, in [0, 1] (Leurent 2018).
 
-    -1 for a crash, 0.1 for the share of lanes to the left of the target lane, 0.4 for the forward
-    speed as a share of 20 to 30 m/s; mapped from [-1, 0.5] onto [0, 1]; 0 off the road
-    [`HighwayEnv._reward`].
+    -1 for a crash, 0.1 for the proportion of lanes to the left of the target lane, 0.4 for the
+    forward speed, scaled from [20, 30] m/s to [0, 1]; mapped from [-1, 0.5] onto [0, 1]; 0 off the
+    road [`HighwayEnv._reward`].
 
     Args:
         forward: Speed along the road, m/s.

@@ -22,7 +22,7 @@ def progress_reward(
 ) -> Floats:
     """The reward of a decision, at most 1.
 
-    It is the distance driven along the road as a share of that at 30 m/s, less 1 if the episode has
+    It is the distance driven along the road, divided by that at 30 m/s, less 1 if the episode has
     ended in a collision or off the road. Distance driven backwards counts as negative, everywhere;
     distance driven forwards counts on the road only, and up to 30 m/s. So the rewards of a path
     that ends where it began sum to at most 0.
@@ -33,8 +33,8 @@ def progress_reward(
         failed: Whether the ego has collided, or has ended the episode by leaving the road.
         off_road: Whether the ego is beside the road after the interval.
     """
-    share = np.minimum(progress_m / (SPEED_MPS * interval_s), np.where(off_road, 0.0, 1.0))
-    return np.asarray(share + COLLISION * failed)
+    progress = np.minimum(progress_m / (SPEED_MPS * interval_s), np.where(off_road, 0.0, 1.0))
+    return np.asarray(progress + COLLISION * failed)
 
 
 class ProgressReward:

@@ -36,7 +36,7 @@ from charms_bench.runs.checked_result import read_result, write_result
 from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.shard import CellTask, engine_on, installed
 from charms_bench.runs.suite import Cell, EgoEntry, Suite, Surroundings, TrafficEntry
-from charms_bench.world.parameter_points import from_shares, sobol
+from charms_bench.world.parameter_points import from_unit_cube, sobol
 from charms_bench.world.scenario import Parameter, Scenario
 from charms_bench.world.scene import Floats, Ints, SceneSettings
 
@@ -114,7 +114,7 @@ class Search:
             if is_over() or points < POPULATION:
                 break
             differential_evolution(
-                lambda shares: self.values(shares.T),
+                lambda coordinates: self.values(coordinates.T),
                 [(0.0, 1.0)] * dimensions,
                 strategy="randtobest1bin",
                 init=best,
@@ -130,9 +130,9 @@ class Search:
             )
         del self.failures[failures:], self.preventable_by[failures:]
 
-    def values(self, shares: Floats) -> Floats:
+    def values(self, coordinates: Floats) -> Floats:
         """Returns what the search minimises at points (R, P) of the unit cube; notes failures."""
-        points = self._points_at(shares)
+        points = self._points_at(coordinates)
         found = self._margins_of_scenarios(points)
         collides = np.nonzero((found < 0).any(axis=1))[0]
         avoided_by: list[list[str]] = [[] for _ in collides]
@@ -159,10 +159,10 @@ class Search:
             self.found()
         return np.asarray(found.min(axis=1))
 
-    def _points_at(self, shares: Floats) -> list[Point]:
-        values = from_shares(self._parameters, shares)
+    def _points_at(self, coordinates: Floats) -> list[Point]:
+        values = from_unit_cube(self._parameters, coordinates)
         points = [
-            {name: float(each[r]) for name, each in values.items()} for r in range(len(shares))
+            {name: float(each[r]) for name, each in values.items()} for r in range(len(coordinates))
         ]
         if not self.varies_road:
             return points

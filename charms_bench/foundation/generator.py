@@ -96,8 +96,8 @@ def given_draw(state: State) -> float:
 @compiled
 def given_word(state: State) -> np.uint64:
     """The next given draw as 64 bits."""
-    share = min(0.5 * math.erfc(-given_draw(state) / math.sqrt(2.0)), 1.0 - 2.0**-53)
-    return np.uint64(share * 2.0**53) << np.uint64(11)
+    probability = min(0.5 * math.erfc(-given_draw(state) / math.sqrt(2.0)), 1.0 - 2.0**-53)
+    return np.uint64(probability * 2.0**53) << np.uint64(11)
 
 
 @compiled
@@ -136,7 +136,7 @@ def uniform(state: State, low: float, high: float) -> float:
 
 
 @compiled
-def share_of_integers(state: State, count: int) -> float:
+def uniform_for_integers(state: State, count: int) -> float:
     """A number in [0, 1) whose product with `count`, below 2**32, has `integers` as integer part.
 
     It is the accepted half word over 2**32 (Lemire 2019), so the product is exact.
@@ -153,7 +153,7 @@ def share_of_integers(state: State, count: int) -> float:
 @compiled
 def integers(state: State, low: int, high: int) -> int:
     """An integer from `low` to `high` - 1; also `choice` from as many options."""
-    return low + int(share_of_integers(state, high - low) * (high - low))
+    return low + int(uniform_for_integers(state, high - low) * (high - low))
 
 
 @compiled
@@ -191,10 +191,10 @@ def choice(state: State, weights: NDArray[np.float64]) -> int:
     total = 0.0
     for weight in weights:
         total += weight
-    share, until = random(state), 0.0
+    drawn, until = random(state), 0.0
     for k in range(weights.size):
         until += weights[k]
-        if share < until / total:
+        if drawn < until / total:
             break
     return int(k)
 

@@ -19,10 +19,10 @@ LEAST_GAP_M = 0.5
 @inlined
 def idm(speed: float, gap: float, leader_speed: float, p: Floats) -> float:
     """IDM acceleration, m/s2, Treiber et al. 2000, eq. 3; p is v0, T, s0, a, b."""
-    share = speed / p[0]
+    ratio = speed / p[0]
     braking = speed * (speed - leader_speed) / (2 * math.sqrt(p[3] * p[4]))
     crowding = (p[2] + max(0.0, speed * p[1] + braking)) / max(gap, LEAST_GAP_M)
-    return float(p[3] * (1 - share * share * share * share - crowding * crowding))
+    return float(p[3] * (1 - ratio * ratio * ratio * ratio - crowding * crowding))
 
 
 @inlined

@@ -37,9 +37,9 @@ class _Leader(DriverModel):
         time_s = scene.memory[vehicles][:, 0] + self._period_s
         scene.memory[(*vehicles, np.zeros(vehicles[0].size, dtype=np.int64))] = time_s
         at = np.minimum(time_s * RATE_HZ, self._speeds.shape[1] - 1.001)
-        before, share = at.astype(np.int64), at % 1
-        row = vehicles[0]
-        speed = (1 - share) * self._speeds[row, before] + share * self._speeds[row, before + 1]
+        before, fraction = at.astype(np.int64), at % 1
+        speeds, row = self._speeds, vehicles[0]
+        speed = (1 - fraction) * speeds[row, before] + fraction * speeds[row, before + 1]
         acceleration = (speed - scene.speed[vehicles]) / self._period_s
         return np.clip(acceleration, -20.0, 20.0), scene.lane[vehicles]
 

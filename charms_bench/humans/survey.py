@@ -27,9 +27,10 @@ class Learnable:
     rejected: dict[str, int]
     """Decisions that cannot be learnt from, by reason."""
     two_actions: float
-    """Share of the accepted decisions whose label gives two actions a probability."""
+    """Proportion of the accepted decisions whose label gives two actions a probability."""
     label_shares: dict[str, dict[str, float]]
-    """Share of each action in the labels of all `accepted` decisions and of the `sampled` ones."""
+    """Proportion of each action in the labels of all `accepted` decisions and of the `sampled`
+    ones."""
     training: int
     """Samples to train on."""
     held_out: int

@@ -25,7 +25,7 @@ def unseen(parts: Sequence[Trip], speeds_mps: tuple[float, float]) -> list[Trip]
     """One situation for each recorded one; the driver's gap and speed are those of its start.
 
     Of `TRIES` leaders, the first that stays within the speeds is taken; if none does, the last one
-    is held at them.
+    is clipped to them.
     """
     rng, found = np.random.default_rng([SEED, 1]), []
     for part in parts:

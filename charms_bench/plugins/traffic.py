@@ -84,23 +84,24 @@ class Mixture(Traffic):
     """Draws the agent of every vehicle independently, with fixed probabilities.
 
     Args:
-        shares: The probability of each agent, by name; they sum to 1.
+        composition: The proportion of each agent, by name; they sum to 1.
 
     Raises:
-        InputError: A share is no number or negative, or the shares do not sum to 1.
+        InputError: A proportion is negative or not a number, or the proportions do not sum to 1.
     """
 
-    def __init__(self, shares: Mapping[str, float]) -> None:
-        self.agents = tuple(shares)
+    def __init__(self, composition: Mapping[str, float]) -> None:
+        self.agents = tuple(composition)
         try:
-            self._shares = np.array([float(share) for share in shares.values()])
+            self._proportions = np.array([float(each) for each in composition.values()])
         except (TypeError, ValueError):
-            self._shares = np.array([np.nan])
-        if not ((self._shares >= 0).all() and abs(self._shares.sum() - 1) <= 1e-9):
-            raise InputError(f"shares must be non-negative and sum to 1, got {dict(shares)}")
+            self._proportions = np.array([np.nan])
+        if not ((self._proportions >= 0).all() and abs(self._proportions.sum() - 1) <= 1e-9):
+            what = "the proportions of agents must be non-negative and sum to 1"
+            raise InputError(f"{what}, got {dict(composition)}")
 
     def __repr__(self) -> str:
-        return f"Mixture({dict(zip(self.agents, self._shares.tolist(), strict=True))})"
+        return f"Mixture({dict(zip(self.agents, self._proportions.tolist(), strict=True))})"
 
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
-        return rng.choice(np.array(self.agents), size=(scenes, vehicles), p=self._shares)
+        return rng.choice(np.array(self.agents), size=(scenes, vehicles), p=self._proportions)

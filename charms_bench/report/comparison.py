@@ -26,8 +26,9 @@ COLUMNS = (
         "difference",
         definition="first minus second",
         counted="episodes",
-        interval="paired: Tango's score interval for shares of episodes, else bootstrap-t; if only "
-        "a few episodes differ in a share or a rate, from the intervals of the two agents",
+        interval="paired: Tango's score interval for proportions of episodes, else bootstrap-t; "
+        "if only a few episodes differ in a proportion or a rate, from the intervals of the two "
+        "agents",
         form="margin",
         signed=True,
     ),

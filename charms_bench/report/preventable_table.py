@@ -89,14 +89,15 @@ def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     by_cell = {cell.labels: cell for cell in cells}
     for labels, kinds in kinds_of(suite, cells).items():
         cell = by_cell[labels]
-        shares: list[tuple[object, ...]] = []
+        proportions: list[tuple[object, ...]] = []
         for name, each in {"crashed": crashed(cell), **kinds}.items():
             count = int(each.sum())
-            shares.append((name, count / each.size, *wilson(count, each.size), each.size))
+            bounds = wilson(count, each.size)
+            proportions.append((name, count / each.size, *bounds, each.size))
         braking = (BRAKING, strongest_braking(suite, cell), None, None, cell.size)
         every = cell.size + cell.left_out
         left = (LEFT_OUT, cell.left_out / every, None, None, every)
-        numbers = (*shares[:2], braking, *shares[2:], left)
+        numbers = (*proportions[:2], braking, *proportions[2:], left)
         records += [(*labels, *each) for each in numbers]
     schema = long_schema(suite.with_road(KEYS), LONG)
     return from_frame(pl.DataFrame(records, schema=schema, orient="row"), suite)
@@ -105,7 +106,7 @@ def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     """The table of preventable collisions from its long frame."""
     references, several = " and ".join(suite.preventable_by), len(suite.preventable_by) > 1
-    shares = {
+    definitions = {
         "crashed": "proportion of episodes in which the ego collides or leaves the road",
         "preventable": f"proportion of episodes in which it does so and {references} "
         f"{'do' if several else 'does'} not",
@@ -116,13 +117,13 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         "prescribed vehicles collide with one another in them",
     }
     for name in suite.preventable_by:
-        shares[ONLY + name] = (
+        definitions[ONLY + name] = (
             f"proportion of episodes in which it does so and, of {references}, only {name} does not"
         )
 
     def column(_: str, name: str) -> Column:
         label = f"{name[0].upper()}{name[1:]}".replace("_", " ")
-        known = Column(name, "", shares.get(name, ""), "episodes", form=".1%", label=label)
+        known = Column(name, "", definitions.get(name, ""), "episodes", form=".1%", label=label)
         if name == BRAKING:
             return replace(known, unit="m/s²", form=".1f")
         if name == LEFT_OUT:

@@ -133,9 +133,9 @@ def realism_table(
 def smallest_distances(human: Floats, limits: tuple[float, float], n: int) -> dict[str, Floats]:
     """The smallest distances [...] of n speeds within limits from human ones [..., BINS].
 
-    KL and Jensen-Shannon are smallest for the human shares of the bins within the limits, because
-    merging these bins to one does not change them then, and never increases them (Csiszar 1967).
-    The Wasserstein distance is smallest if every speed beyond a limit moves to it.
+    KL and Jensen-Shannon are smallest for the human proportions of the bins within the limits,
+    because merging these bins to one does not change them then, and never increases them (Csiszar
+    1967). The Wasserstein distance is smallest if every speed beyond a limit moves to it.
     """
     width = round(COARSE_BIN["speed"] / BIN)
     lowest, highest = (int(bins_of(limit)) for limit in limits)

@@ -204,8 +204,9 @@ def _rate(number: Number) -> str:
     return f"{said} ({INTERVAL} {_percent(number.low)} to {_percent(number.high)})"
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:z.{2 if 0 < abs(share) < 0.001 else 1}f}".replace("-", "−")
+def _percent(proportion: float) -> str:
+    digits = 2 if 0 < abs(proportion) < 0.001 else 1
+    return f"{100 * proportion:z.{digits}f}".replace("-", "−")
 
 
 def _listed(names: Sequence[str], most: int = NAMED) -> str:

@@ -37,8 +37,8 @@ from charms_bench.roads.scenes import (
     LATERAL,
     LENGTH,
     OBSTACLE,
-    SHARE,
     SPEED,
+    SPEED_RATIO,
     STEERING,
     Here,
     Row,
@@ -237,7 +237,7 @@ def find_free_accelerations(here: Here) -> None:
         if vehicle.kind == IDM and not vehicle.crashed:
             batch, k = batch_of(here, count), count % BATCH
             row_after(here.visited, count).batched = i
-            put(batch, SHARE, k, share_of_speed(here, i))
+            put(batch, SPEED_RATIO, k, speed_ratio(here, i))
             put(batch, EXPONENT, k, vehicle.exponent)
             count += 1
     for n in range(0, count, BATCH):
@@ -254,23 +254,23 @@ def accelerate_freely(batch: Row, acceleration: float) -> None:
     A loop over the powers alone would be unrolled before it could be vectorised.
     """
     for k in range(BATCH):
-        share, exponent = number_of(batch, SHARE, k), number_of(batch, EXPONENT, k)
-        put(batch, FREE, k, idm_mobil.free_acceleration(share, exponent, acceleration))
+        ratio, exponent = number_of(batch, SPEED_RATIO, k), number_of(batch, EXPONENT, k)
+        put(batch, FREE, k, idm_mobil.free_acceleration(ratio, exponent, acceleration))
 
 
 @inlined
-def share_of_speed(here: Here, i: int) -> float:
-    """The speed of vehicle i as a share of its target speed."""
+def speed_ratio(here: Here, i: int) -> float:
+    """The speed of vehicle i divided by its target speed."""
     vehicle = vehicle_of(here, i)
     limit = lane_of(here, vehicle.lane).speed_limit
-    return idm_mobil.share_of_speed(vehicle.speed, vehicle.target_speed, limit)
+    return idm_mobil.speed_ratio(vehicle.speed, vehicle.target_speed, limit)
 
 
 @compiled
 def free_acceleration(here: Here, i: int, exponent: float) -> float:
     """The acceleration of vehicle i on a free road."""
     most = here.constants.acceleration_mps2
-    return idm_mobil.free_acceleration(share_of_speed(here, i), exponent, most)
+    return idm_mobil.free_acceleration(speed_ratio(here, i), exponent, most)
 
 
 @compiled

@@ -25,7 +25,7 @@ from charms_bench.roads.task import (
 
 EGO_SPEED_MPS = 25.0
 SPEED_LOW, SPEED_HIGH = 0.7, 0.8
-"""The speeds at which the other vehicles start, as shares of the speed limit."""
+"""The speeds at which the other vehicles start, as fractions of the speed limit."""
 
 
 class Rule(NamedTuple):

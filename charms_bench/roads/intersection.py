@@ -26,8 +26,8 @@ from charms_bench.roads.task import (
     has_space,
     is_on_own_lane,
     plan_route,
-    share,
     speed_term,
+    to_unit_interval,
     weighted,
 )
 from charms_bench.world.lane_geometry import Pair
@@ -315,7 +315,7 @@ def _judge(
             total = arrival if arrived else weighted(reward.weights, row)
             total *= row[4]
             if reward.normalises:
-                total = share(total, collision, arrival)
+                total = to_unit_interval(total, collision, arrival)
             row[0] = rewards[b, ego] = total
             have_arrived[b, ego] = arrived
             for k in range(row.size):

@@ -21,7 +21,7 @@ from charms_bench.roads.scenes import (
     Scenes,
     put_on_lane,
 )
-from charms_bench.roads.task import Reward, Task, share, weighted
+from charms_bench.roads.task import Reward, Task, to_unit_interval, weighted
 from charms_bench.world.actions import LANE_LEFT, LANE_RIGHT
 from charms_bench.world.road_network import NO_LINE, SOLID_LINE, STRIPED, SineLane, StraightLane
 
@@ -221,8 +221,8 @@ def _judge(
                 merging += (vehicle.target_speed - vehicle.speed) / vehicle.target_speed
         out[b, 1] = ego.crashed
         out[b, 2] = ego.lane - scenes.road.lanes[ego.lane].first
-        out[b, 3] = share(ego.speed, reward.speed_low, reward.speed_high)
+        out[b, 3] = to_unit_interval(ego.speed, reward.speed_low, reward.speed_high)
         out[b, 4] = actions[b] in (LANE_LEFT, LANE_RIGHT)
         out[b, 5] = merging
         total = weighted(weights, out[b])
-        out[b, 0] = share(total, weights[0] + weights[4], weights[2] + weights[1])
+        out[b, 0] = to_unit_interval(total, weights[0] + weights[4], weights[2] + weights[1])

@@ -14,7 +14,7 @@ from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
 from charms_bench.roads.layout import Edge, RoadObject
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_lane
-from charms_bench.roads.task import Task, has_space, is_on_own_lane, share
+from charms_bench.roads.task import Task, has_space, is_on_own_lane, to_unit_interval
 from charms_bench.world.lane_geometry import STRAIGHT, Pair
 from charms_bench.world.road import local_coordinates, position
 from charms_bench.world.road_network import NO_LINE, SOLID, STRIPED, CircularLane, StraightLane
@@ -277,4 +277,4 @@ def _judge(
             total = np.float64(single)
         else:
             total = centring + costs[b] + crash
-        out[b, 0] = share(total, weights[2], 1.0) * out[b, 4]
+        out[b, 0] = to_unit_interval(total, weights[2], 1.0) * out[b, 4]

@@ -140,7 +140,7 @@ neighbour ahead was found, m."""
 NUMBER = _table(floats="value")
 """A number of a vehicle in a batch."""
 COLUMNS = tuple(range(13))
-SPEED, LENGTH, HEADING, STEERING, LATERAL, AHEAD, SHARE, EXPONENT, FREE, *_WAY = COLUMNS
+SPEED, LENGTH, HEADING, STEERING, LATERAL, AHEAD, SPEED_RATIO, EXPONENT, FREE, *_WAY = COLUMNS
 X, Y, COSINE, SINE = _WAY
 """The numbers of a batch, each of them for `BATCH` vehicles side by side, so that a loop computes
 all of them at once."""

@@ -218,18 +218,18 @@ def weighted(weights: Floats, row: Floats) -> float:
 def reward_of(reward: Reward, row: Floats, low: float, high: float) -> float:
     """The same, from 0 at a value to 1 at another one if the reward is normalised."""
     total = weighted(reward.weights, row)
-    return share(total, low, high) if reward.normalises else total
+    return to_unit_interval(total, low, high) if reward.normalises else total
 
 
 @inlined
 def speed_term(reward: Reward, speed: float) -> float:
     """The term of a speed, from 0 to 1."""
-    return clip(share(speed, reward.speed_low, reward.speed_high), 0.0, 1.0)
+    return clip(to_unit_interval(speed, reward.speed_low, reward.speed_high), 0.0, 1.0)
 
 
 @compiled
-def share(value: float, low: float, high: float) -> float:
-    """Where a value is between two others [`utils.lmap`]."""
+def to_unit_interval(value: float, low: float, high: float) -> float:
+    """A value, scaled from [low, high] to [0, 1] [`utils.lmap`]."""
     return (value - low) / (high - low)
 
 

@@ -21,7 +21,7 @@ from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_o
 from charms_bench.runs.runner import combined, note_failures, on_this_machine
 from charms_bench.runs.shard import forget_agents, traffic_of
 from charms_bench.runs.suite import Cell, Suite
-from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
+from charms_bench.statistics.subset_simulation import LEVEL_PROBABILITY, SubsetRun
 
 FORMAT = 2
 MANIFEST = "rare.json"
@@ -54,10 +54,10 @@ def check_sizes(suite: Suite, runs: int, samples: int) -> None:
     most = DRAWS_LIMIT // max(count_of(cell.scene) for cell in suite.cells)
     if not LEAST_RUNS <= runs <= MOST_RUNS:
         raise InputError(f"runs is {runs}; expected {LEAST_RUNS} to {MOST_RUNS:,}")
-    if not LEAST_SAMPLES <= samples <= most or samples % round(1 / SHARE):
+    if not LEAST_SAMPLES <= samples <= most or samples % round(1 / LEVEL_PROBABILITY):
         raise InputError(
-            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {LEAST_SAMPLES} to "
-            f"{most:,}"
+            f"samples is {samples}; expected a multiple of {1 / LEVEL_PROBABILITY:g} from "
+            f"{LEAST_SAMPLES} to {most:,}"
         )
 
 

@@ -22,19 +22,19 @@ def kl_divergence(reference: Floats, other: Floats) -> Floats:
     """
     from scipy.special import rel_entr  # a run without references does without SciPy
 
-    p, q = (_shares(counts + PSEUDO_COUNT) for counts in (reference, other))
+    p, q = (_proportions(counts + PSEUDO_COUNT) for counts in (reference, other))
     return _defined(rel_entr(p, q).sum(axis=-1), reference, other)
 
 
 def js_divergence(reference: Floats, other: Floats) -> Floats:
-    """The Jensen-Shannon divergence in bits: 0 for the same shares, 1 where no bin is shared.
+    """The Jensen-Shannon divergence in bits: 0 for the same proportions, 1 where no bin is shared.
 
-    Lin 1991 (IEEE Transactions on Information Theory 37). The shares are not smoothed, because
+    Lin 1991 (IEEE Transactions on Information Theory 37). The proportions are not smoothed, because
     this divergence is always finite.
     """
     from scipy.special import rel_entr
 
-    p, q = _shares(reference), _shares(other)
+    p, q = _proportions(reference), _proportions(other)
     middle = (p + q) / 2
     nats = (rel_entr(p, middle) + rel_entr(q, middle)).sum(axis=-1) / 2
     return _defined(nats / np.log(2), reference, other)
@@ -46,11 +46,11 @@ def wasserstein(reference: Floats, other: Floats, width: float) -> Floats:
     It is the average distance by which one distribution has to be moved to become the other. All
     values in a bin of that width count as equal.
     """
-    between = _shares(reference).cumsum(axis=-1) - _shares(other).cumsum(axis=-1)
+    between = _proportions(reference).cumsum(axis=-1) - _proportions(other).cumsum(axis=-1)
     return _defined(width * np.abs(between).sum(axis=-1), reference, other)
 
 
-def _shares(counts: Floats) -> Floats:
+def _proportions(counts: Floats) -> Floats:
     total = counts.sum(axis=-1, keepdims=True)
     return np.asarray(counts / np.where(total > 0, total, 1.0))
 

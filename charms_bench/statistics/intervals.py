@@ -2,10 +2,10 @@
 
 The steps of an episode depend on each other, but episodes are independent. So the intervals of
 means and standard deviations come from resampled episodes (a cluster bootstrap with percentiles,
-Davison & Hinkley 1997, section 3.8). Shares and rates have score intervals with an effective sample
-size (Dean & Pagano 2015, Journal of Survey Statistics and Methodology 3), because resamples of few
-events do not vary enough. For events that happen at most once per episode, intervals come from
-Wilson (1927) and Garwood (1936).
+Davison & Hinkley 1997, section 3.8). Proportions and rates have score intervals with an effective
+sample size (Dean & Pagano 2015, Journal of Survey Statistics and Methodology 3), because resamples
+of few events do not vary enough. For events that happen at most once per episode, intervals come
+from Wilson (1927) and Garwood (1936).
 """
 
 import math

@@ -1,15 +1,15 @@
 """Compares two agents over the same episodes: differences, intervals and p-values.
 
 A seed gives both agents the same episode, so episodes are pairs, and the difficulty of an episode
-does not blur the difference. Shares of all episodes use McNemar's exact test (McNemar 1947) and the
-score interval of Tango (1998, Statistics in Medicine 17). Every other metric, such as a share of
-the collisions, is a function of sums over episodes. The standard error of its difference follows
-from the sums by linearisation. Resampled episodes give the tails of the difference divided by its
-standard error (the symmetric bootstrap-t, Hall 1988, Annals of Statistics 16). The tails are
-described by Student's t with the degrees of freedom at which its 95 % point equals that of the
-resamples; the interval and the p-value both use it. If too few episodes differ for that, the
-interval of a proportion or a rate follows from those of the two agents (Zou & Donner 2008,
-Statistics in Medicine 27).
+does not blur the difference. Proportions of all episodes use McNemar's exact test (McNemar 1947)
+and the score interval of Tango (1998, Statistics in Medicine 17). Every other metric, such as a
+proportion of the collisions, is a function of sums over episodes. The standard error of its
+difference follows from the sums by linearisation. Resampled episodes give the tails of the
+difference divided by its standard error (the symmetric bootstrap-t, Hall 1988, Annals of
+Statistics 16). The tails are described by Student's t with the degrees of freedom at which its
+95 % point equals that of the resamples; the interval and the p-value both use it. If too few
+episodes differ for that, the interval of a proportion or a rate follows from those of the two
+agents (Zou & Donner 2008, Statistics in Medicine 27).
 """
 
 from collections.abc import Callable, Sequence
@@ -61,7 +61,7 @@ def differences(
 
 def _difference(metric: Metric, ours: Floats, theirs: Floats, weights: Floats) -> Difference:
     if metric.interval == "wilson" and all((each[:, 0] == 1).all() for each in (ours, theirs)):
-        return _of_shares(ours, theirs)
+        return _of_proportions(ours, theirs)
     found = _of_sums(metric.value, ours, theirs, weights)
     has_interval = np.isnan(found.value) or not np.isnan(found.low)
     # Agents that never differ although something happens are the same agent.
@@ -85,7 +85,7 @@ def combined(values: Sequence[float], bounds: Sequence[Bounds]) -> Bounds:
     return float(first - second - below), float(first - second + above)
 
 
-def _of_shares(ours: Floats, theirs: Floats) -> Difference:
+def _of_proportions(ours: Floats, theirs: Floats) -> Difference:
     n, events = len(ours), (ours[:, -1] > 0, theirs[:, -1] > 0)
     only_first = int((events[0] & ~events[1]).sum())
     only_second = int((events[1] & ~events[0]).sum())
@@ -116,8 +116,8 @@ def tango(only_first: int, only_second: int, pairs: int) -> Bounds:
         """The score minus the 95 % point; eqs. 2 and 3."""
         b = (2 * pairs - only_first + only_second) * difference - only_first - only_second
         c = -only_second * difference * (1 - difference)
-        share = (np.sqrt(max(b * b - 8 * pairs * c, 0.0)) - b) / (4 * pairs)
-        variance = max(pairs * (2 * share + difference * (1 - difference)), 0.0)
+        proportion = (np.sqrt(max(b * b - 8 * pairs * c, 0.0)) - b) / (4 * pairs)
+        variance = max(pairs * (2 * proportion + difference * (1 - difference)), 0.0)
         score = only_first - only_second - pairs * difference
         return float(score - side * stats.norm.ppf(UPPER) * np.sqrt(variance))
 

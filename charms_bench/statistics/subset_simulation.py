@@ -31,15 +31,16 @@ Level = Callable[[Floats, Seeds], Floats]
 standard normal components (M, D), and a random seed (M,) for all else that it draws,
 which a move keeps or draws again."""
 
-SHARE = 0.2
+LEVEL_PROBABILITY = 0.2
 """The proportion of the pilot's points below the next threshold, p0; 0.1 to 0.3 give nearly the
 least variance (Zuev et al. 2012, Comput. Struct. 92)."""
 TARGET_ACCEPTANCE = 0.44
-"""Share of accepted moves that the step size is adapted to (Papaioannou et al. 2015)."""
+"""Proportion of accepted moves that the step size is adapted to (Papaioannou et al. 2015)."""
 FIRST_SIZE = 0.6
 """Step size of the pilot's first chains, between 0 and 1."""
 MOST_LEVELS = 17
-"""A pilot that has not reached the event by then, at about `SHARE ** MOST_LEVELS`, ends."""
+"""A pilot that has not reached the event by then, at about `LEVEL_PROBABILITY ** MOST_LEVELS`,
+ends."""
 
 
 @dataclass(frozen=True)
@@ -107,12 +108,12 @@ def pilot_run(level: Level, dimension: int, samples: int, rng: np.random.Generat
     """Chooses the thresholds and step sizes of `subset_simulation`, which explains the arguments.
 
     Each threshold is a quantile of the points below the one before, and the step size follows the
-    share of accepted moves.
+    proportion of accepted moves.
     """
     points = _draw(level, (1, samples), dimension, rng)
     thresholds, sizes, acceptance = [_next_threshold(points.levels, math.inf)], [], [1.0]
-    shares = [float((points.levels <= thresholds[0]).mean())]
-    chains, size = round(samples * SHARE), FIRST_SIZE
+    proportions = [float((points.levels <= thresholds[0]).mean())]
+    chains, size = round(samples * LEVEL_PROBABILITY), FIRST_SIZE
     while thresholds[-1] > 0:
         points = _start(points, thresholds[-1], chains, rng)
         points, accepted, size = _grow(
@@ -121,15 +122,16 @@ def pilot_run(level: Level, dimension: int, samples: int, rng: np.random.Generat
         is_last = len(thresholds) == MOST_LEVELS - 1
         thresholds.append(0.0 if is_last else _next_threshold(points.levels, thresholds[-1]))
         sizes.append(size)
-        shares.append(float((points.levels <= thresholds[-1]).mean()))
+        proportions.append(float((points.levels <= thresholds[-1]).mean()))
         acceptance.append(float(accepted[0]))
     evaluations = samples + len(sizes) * (samples - chains)
-    return SubsetRun(tuple(thresholds), tuple(sizes), tuple(shares), tuple(acceptance), evaluations)
+    levels = tuple(thresholds), tuple(sizes), tuple(proportions), tuple(acceptance)
+    return SubsetRun(*levels, evaluations)
 
 
 def _next_threshold(levels: Floats, before: float) -> float:
     """The quantile of levels [1, N], or the next lower level where the quantile stays the same."""
-    place = round(levels.size * SHARE) - 1
+    place = round(levels.size * LEVEL_PROBABILITY) - 1
     threshold = float(np.partition(levels[0], place)[place])
     if threshold == before:
         threshold = float(levels.max(where=levels < before, initial=0.0))
@@ -149,19 +151,19 @@ def subset_simulation(
     Args:
         level: The level function.
         dimension: D, the number of normal components.
-        samples: N, the points of each level; a multiple of 1 / `SHARE`.
+        samples: N, the points of each level; a multiple of 1 / `LEVEL_PROBABILITY`.
         runs: The number of runs.
         pilot: Has the thresholds and the step sizes. Its random draws are not those of the runs.
         rng: Makes all random draws.
     """
     points = _draw(level, (runs, samples), dimension, rng)
     running, accepted = np.arange(runs), np.ones(runs)
-    chains = round(samples * SHARE)
+    chains = round(samples * LEVEL_PROBABILITY)
     found: list[list[tuple[float, float]]] = [[] for _ in range(runs)]
     for threshold, size in zip(pilot.thresholds, (*pilot.sizes, None), strict=True):
         is_below = points.levels <= threshold
-        for run, share, moved in zip(running, is_below.mean(axis=1), accepted, strict=True):
-            found[run].append((float(share), float(moved)))
+        for run, proportion, moved in zip(running, is_below.mean(axis=1), accepted, strict=True):
+            found[run].append((float(proportion), float(moved)))
         has_reached = is_below.any(axis=1)
         if size is None or not has_reached.any():
             break
@@ -170,10 +172,10 @@ def subset_simulation(
         points, accepted, _ = _grow(level, points, threshold, size, samples // chains, rng)
     finished = []
     for levels in found:
-        shares, acceptance = zip(*levels, strict=True)
+        proportions, acceptance = zip(*levels, strict=True)
         evaluations = samples + (len(levels) - 1) * (samples - chains)
         finished.append(
-            replace(pilot, shares=shares, acceptance=acceptance, evaluations=evaluations)
+            replace(pilot, shares=proportions, acceptance=acceptance, evaluations=evaluations)
         )
     return finished
 
@@ -230,8 +232,8 @@ def _grow(
         grown.append(_Points(normal, seeds, levels))
         moves += accepted.mean(axis=1) / (length - 1)
         if adapt:
-            share = float(accepted.mean())
-            size = min(1.0, size * math.exp((share - TARGET_ACCEPTANCE) / math.sqrt(step)))
+            acceptance = float(accepted.mean())
+            size = min(1.0, size * math.exp((acceptance - TARGET_ACCEPTANCE) / math.sqrt(step)))
     joined = (np.concatenate(each, axis=1) for each in zip(*grown, strict=True))
     return _Points(*joined), moves, size
 

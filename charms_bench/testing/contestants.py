@@ -51,7 +51,7 @@ def compiled(
     agents = {name: make_agent(name) for name in plugin.agents}
     simulation = Simulation(settings, scenes, None, plugin, agents, engine)
     simulation.reset(np.arange(SEED, SEED + scenes, dtype=np.uint64))
-    # Episodes at all stages, so that every step has its share of new scenes.
+    # Episodes at all stages, so that every step begins about as many new scenes.
     simulation.steps[:] = np.arange(scenes) * settings.decisions // scenes
     actions = np.full(scenes, IDLE)
 

@@ -258,13 +258,13 @@ class HighwayEnvEngine(Engine):
         self, row: int, place: int, vehicle: ControlledVehicle, rng: RandomSource
     ) -> None:
         """[`IDMVehicle.randomize_behavior`]"""
-        share = self.scene.temperament[row, place] = rng.random()
-        self._set_temperament(vehicle, share)
+        temperament = self.scene.temperament[row, place] = rng.random()
+        self._set_temperament(vehicle, temperament)
 
-    def _set_temperament(self, vehicle: Any, share: float) -> None:
+    def _set_temperament(self, vehicle: Any, temperament: float) -> None:
         if isinstance(vehicle, IDMVehicle):
             low, high = vehicle.DELTA_RANGE
-            vehicle.DELTA = low + (high - low) * share
+            vehicle.DELTA = low + (high - low) * temperament
 
     def _copy_state(self, row: int) -> None:
         """Copies the state of highway-env's vehicles into the arrays."""

@@ -19,7 +19,7 @@ NUMBERS = (
 """What is compared of a vehicle that has it."""
 MOST_DECISIONS = 200
 """An episode that is not over then is not compared further."""
-_SHARE_OF_IDLE = 0.8
+_IDLE_PROBABILITY = 0.8
 _LOOK_AHEAD_S = 0.3
 
 
@@ -129,7 +129,7 @@ def action_for(ours: Episodes, vehicle: Any, rng: np.random.Generator, is_random
     action = int(rng.integers(len(actions.names)))
     if not is_random and "FASTER" in actions.names:
         name = rng.choice(("FASTER", "SLOWER"))
-        action = actions.names.index("IDLE" if rng.random() < _SHARE_OF_IDLE else str(name))
+        action = actions.names.index("IDLE" if rng.random() < _IDLE_PROBABILITY else str(name))
     return action
 
 

@@ -99,7 +99,7 @@ NAMES_BY_AXES = {
 """The meta-actions by whether they are longitudinal and lateral [`DiscreteMetaAction`]."""
 ActionKind = Literal["meta", "continuous"]
 """`meta`: `DEFAULT_ACTIONS`. `continuous`: an acceleration and a steering angle per vehicle, each
-as a share of its range, from -1 to 1 [highway-env's `ContinuousAction`]."""
+scaled from its range to -1 to 1 [highway-env's `ContinuousAction`]."""
 ACTION_KINDS: tuple[ActionKind, ...] = get_args(ActionKind)
 ActionsLike = ActionKind | tuple[MetaAction, ...]
 """The actions of a policy: meta-actions, or a kind of actions."""
@@ -118,10 +118,10 @@ def controls_of(actions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     They have the type of the actions, in which highway-env computes them too: for float32, their
     last bits differ from those for float64 [`ContinuousAction.get_action`, `utils.lmap`].
     """
-    shares, ranges = np.clip(actions, -1, 1).T, (_ACCELERATION_RANGE_MPS2, _STEERING_RANGE_RAD)
+    scaled, ranges = np.clip(actions, -1, 1).T, (_ACCELERATION_RANGE_MPS2, _STEERING_RANGE_RAD)
     acceleration, steering = (
-        low + (share + 1) * (high - low) / 2
-        for share, (low, high) in zip(shares, ranges, strict=True)
+        low + (value + 1) * (high - low) / 2
+        for value, (low, high) in zip(scaled, ranges, strict=True)
     )
     return acceleration, steering
 

@@ -51,15 +51,15 @@ def closing_speed(vehicle: Any, leader: Any) -> float:
 
 
 @woven
-def share_of_speed(speed: float, target_speed: float, speed_limit: float) -> float:
-    """The speed as a share of the target speed, as IDM sees them."""
+def speed_ratio(speed: float, target_speed: float, speed_limit: float) -> float:
+    """The speed divided by the target speed, as IDM sees them."""
     return max(speed, 0.0) / abs(not_zero(clip(target_speed, 0.0, speed_limit)))
 
 
 @woven
-def free_acceleration(share: float, exponent: float, most_mps2: float) -> float:
-    """IDM acceleration on a free road, m/s2, eq. 3, first part; `share` is `share_of_speed`."""
-    return most_mps2 * (1 - maths.power(share, exponent))
+def free_acceleration(ratio: float, exponent: float, most_mps2: float) -> float:
+    """IDM acceleration on a free road, m/s2, eq. 3, first part; `ratio` is `speed_ratio`."""
+    return most_mps2 * (1 - maths.power(ratio, exponent))
 
 
 @woven

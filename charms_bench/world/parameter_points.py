@@ -45,35 +45,36 @@ def values_at(scenario: Scenario, numbers: NDArray[Any]) -> dict[str, Floats]:
         values, rest = {}, numbers.astype(np.int64)
         for name, each in reversed(parameters.items()):  # the last parameter changes fastest
             rest, place = np.divmod(rest, each.steps)
-            share = place / (each.steps - 1)
-            values[name] = _rounded(each.range[0] + share * (each.range[1] - each.range[0]))
+            fraction = place / (each.steps - 1)
+            values[name] = _rounded(each.range[0] + fraction * (each.range[1] - each.range[0]))
         return {name: values[name] for name in parameters}
-    return from_shares(parameters, _shares(scenario, numbers.astype(np.int64)))
+    return from_unit_cube(parameters, _coordinates(scenario, numbers.astype(np.int64)))
 
 
-def from_shares(parameters: Mapping[str, Parameter], shares: Floats) -> dict[str, Floats]:
+def from_unit_cube(parameters: Mapping[str, Parameter], coordinates: Floats) -> dict[str, Floats]:
     """Returns the values of each parameter at points (R, P) of the unit cube."""
     return {
-        name: _quantile(each, shares[:, k]) for k, (name, each) in enumerate(parameters.items())
+        name: _quantile(each, coordinates[:, k])
+        for k, (name, each) in enumerate(parameters.items())
     }
 
 
-def _quantile(parameter: Parameter, share: Floats) -> Floats:
+def _quantile(parameter: Parameter, uniforms: Floats) -> Floats:
     low, high = parameter.range
     if parameter.normal is None:
-        return _rounded(low + share * (high - low))
-    return _rounded(truncated_normal(share, parameter.normal, parameter.range))
+        return _rounded(low + uniforms * (high - low))
+    return _rounded(truncated_normal(uniforms, parameter.normal, parameter.range))
 
 
 def truncated_normal(
-    share: Floats, normal: tuple[float, float], bounds: tuple[float, float]
+    uniforms: Floats, normal: tuple[float, float], bounds: tuple[float, float]
 ) -> Floats:
     """The quantiles of a normal distribution, of a mean and a deviation, truncated to bounds."""
     from scipy.special import ndtr, ndtri
 
     (mean, deviation), (low, high) = normal, bounds
     first, last = ndtr((low - mean) / deviation), ndtr((high - mean) / deviation)
-    drawn = mean + deviation * ndtri(first + share * (last - first))
+    drawn = mean + deviation * ndtri(first + uniforms * (last - first))
     return np.asarray(np.clip(drawn, low, high))
 
 
@@ -81,7 +82,7 @@ def _rounded(values: Floats) -> Floats:
     return np.asarray(np.round(values, DECIMALS))
 
 
-def _shares(scenario: Scenario, numbers: NDArray[np.int64]) -> Floats:
+def _coordinates(scenario: Scenario, numbers: NDArray[np.int64]) -> Floats:
     """Returns points (R, P) of the unit cube."""
     dimensions = len(scenario.parameters)
     if scenario.points == "random":

@@ -51,15 +51,16 @@ class Distribution(FrozenModel):
             raise ValueError(f"range: {self.range[0]:g}; a lognormal distribution is above 0")
         return self
 
-    def quantiles(self, shares: Floats) -> Floats:
+    def quantiles(self, uniforms: Floats) -> Floats:
         """The values below which these proportions (M,) of the distribution lie."""
         low, high = self.range
         if self.normal is not None:
-            values = truncated_normal(shares, self.normal, self.range)
+            values = truncated_normal(uniforms, self.normal, self.range)
         else:
             assert self.lognormal is not None
             normal = math.log(self.lognormal[0]), self.lognormal[1]
-            values = np.exp(truncated_normal(shares, normal, (math.log(low), math.log(high))))
+            bounds = math.log(low), math.log(high)
+            values = np.exp(truncated_normal(uniforms, normal, bounds))
         # Rounded, so that the last bits of the distribution's function do not matter.
         return np.asarray(np.clip(np.round(values, DECIMALS), low, high))
 
@@ -135,16 +136,16 @@ class VehicleType(FrozenModel):
                 matrix[i, j] = matrix[j, i] = correlation
         return matrix
 
-    def correlated(self, names: Sequence[str], shares: Floats) -> Floats:
-        """Correlated proportions (M, K) of K quantities, from independent ones.
+    def correlated(self, names: Sequence[str], uniforms: Floats) -> Floats:
+        """Correlated uniform numbers (M, K) of K quantities, from independent ones.
 
         Those of the first quantities do not depend on which quantities come after them.
         """
         if not self.correlations:
-            return shares
+            return uniforms
         from scipy.special import ndtr, ndtri
 
-        scores = ndtri(np.clip(shares, 1e-16, 1 - 1e-16))
+        scores = ndtri(np.clip(uniforms, 1e-16, 1 - 1e-16))
         factor = np.linalg.cholesky(self.correlation_matrix(names))
         # No product of matrices: the order of its sums depends on the processor.
         return np.asarray(ndtr((scores[:, None, :] * factor).cumsum(axis=2)[:, :, -1]))
@@ -157,12 +158,12 @@ def range_of(value: float | Range | Distribution) -> Range:
     return value if isinstance(value, tuple) else (value, value)
 
 
-def drawn_from(value: float | Range | Distribution, shares: Floats) -> Floats:
-    """The values (M,) at these proportions (M,) of a distribution; of a range, the uniform one."""
+def drawn_from(value: float | Range | Distribution, uniforms: Floats) -> Floats:
+    """The values (M,) of a distribution at uniform numbers (M,); a range has the uniform one."""
     if isinstance(value, Distribution):
-        return value.quantiles(shares)
+        return value.quantiles(uniforms)
     low, high = range_of(value)
-    return np.asarray(low + (high - low) * shares)
+    return np.asarray(low + (high - low) * uniforms)
 
 
 def check_driver_parameters(

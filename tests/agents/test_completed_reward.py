@@ -158,8 +158,8 @@ def test_a_failure_is_a_cost_of_the_ego_weighed_by_cos_phi(ending: int, svo: Svo
     prepared = reward.prepare(simulation, IDLING)
     simulation.scene.target_lane[0, 0] = 0
     simulation.ending[0] = ending
-    share = {"competitive": math.sqrt(0.5), "egoistic": 1, "prosocial": math.sqrt(0.5)}.get(svo, 0)
-    assert float(reward(simulation, prepared)[0]) == pytest.approx(-60.0 * share)
+    weight = {"competitive": math.sqrt(0.5), "egoistic": 1, "prosocial": math.sqrt(0.5)}.get(svo, 0)
+    assert float(reward(simulation, prepared)[0]) == pytest.approx(-60.0 * weight)
 
 
 def test_the_end_of_the_time_costs_nothing() -> None:
@@ -169,7 +169,7 @@ def test_the_end_of_the_time_costs_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("svo", "own_share"),
+    ("svo", "own_weight"),
     [
         ("competitive", math.sqrt(0.5)),
         ("egoistic", 1.0),
@@ -177,12 +177,12 @@ def test_the_end_of_the_time_costs_nothing() -> None:
         ("altruistic", 0.0),
     ],
 )
-def test_others_add_nothing_where_nobody_is_affected(svo: Svo, own_share: float) -> None:
+def test_others_add_nothing_where_nobody_is_affected(svo: Svo, own_weight: float) -> None:
     lone = simulation_of((500.0, 1, 26.0))
     own = (1.0 + 0.8 * 0.5 + 0.2) / 2
-    assert reward_of(lone, SAFE, SVO_ANGLES_RAD[svo]) == pytest.approx(own_share * own)
+    assert reward_of(lone, SAFE, SVO_ANGLES_RAD[svo]) == pytest.approx(own_weight * own)
     followed = simulation_of((586.0, 1, 26.0), (500.0, 1, 26.0))  # by one that nothing changes for
-    assert reward_of(followed, SAFE, SVO_ANGLES_RAD[svo]) == pytest.approx(own_share * own)
+    assert reward_of(followed, SAFE, SVO_ANGLES_RAD[svo]) == pytest.approx(own_weight * own)
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_others_add_nothing_where_nobody_is_affected(svo: Svo, own_share: float)
     [(86.0, 0.75), (20.0, 3.0)],  # at 33 m/s, IDM expects -3 (43 / gap)^2, and 3 counts at most
 )
 @pytest.mark.parametrize("svo", ["competitive", "prosocial"])
-def test_what_a_follower_gains_counts_as_a_share_of_6_mps2(
+def test_what_a_follower_gains_counts_as_a_fraction_of_6_mps2(
     svo: Svo, gap_m: float, gain_mps2: float
 ) -> None:
     simulation = simulation_of((500.0 + gap_m, 1, 33.0), (500.0, 1, 33.0))
@@ -242,8 +242,8 @@ def examples() -> dict[str, tuple[float, float]]:
         simulation = simulation_of((500.0, 1, 30.0))
         simulation.ending[0] = REAR_END
         paper, completed = both(simulation, SAFE, degrees)
-        share = math.cos(math.radians(degrees))
-        return paper / share, completed / share
+        weight = math.cos(math.radians(degrees))
+        return paper / weight, completed / weight
 
     leaving = simulation_of((500.0, 1, 30.0), (510.0, 1, 27.5), target_lane=0)
     lone = simulation_of((500.0, 1, 30.0))

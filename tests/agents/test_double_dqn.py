@@ -141,7 +141,7 @@ def test_the_learning_rate_follows_its_schedule() -> None:
     assert agent.optimizer.param_groups[0]["lr"] == 2.0
 
 
-def test_exploration_falls_over_its_share_of_the_steps() -> None:
+def test_exploration_falls_over_its_fraction_of_the_steps() -> None:
     agent = double_dqn(total=16, exploration_final=0.2, exploration_share=0.5)
     fallen = []
     while agent.steps < 10:

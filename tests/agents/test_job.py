@@ -19,12 +19,12 @@ SUITE = PROJECT / "suites" / "train-baselines.yaml"
 POLICIES = PROJECT / "agents" / "charms_agents" / "policies"
 
 
-def job_of(shares: dict[str, float], weights_of: str = "", **options: Any) -> Job:
+def job_of(composition: dict[str, float], weights_of: str = "", **options: Any) -> Job:
     """The job of `prior_level_k` in a mixture, with other options and weights in the traffic."""
     suite, name = load_training(SUITE), "prior_level_k"
-    changes = {"traffic": TrafficSpec(mixture=shares), **options}
+    changes = {"traffic": TrafficSpec(mixture=composition), **options}
     stages = {**suite.stages, name: suite.stages[name].model_copy(update=changes)}
-    drivers = {driver: make_agent(weights_of or driver) for driver in shares}
+    drivers = {driver: make_agent(weights_of or driver) for driver in composition}
     return reinforcement_job(Path(), name, suite.model_copy(update={"stages": stages}), drivers)
 
 

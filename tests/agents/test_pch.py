@@ -34,12 +34,12 @@ def test_styles_are_as_frequent_as_the_closed_form_says(tau: float, beta: float,
     for name in STYLES:
         expected = probability(tau, beta, name)
         error = math.sqrt(expected * (1 - expected) / vehicles)
-        share = float((assigned == name).mean())
+        proportion = float((assigned == name).mean())
         # Six standard errors, and two vehicles for a style that is hardly ever drawn.
-        assert abs(share - expected) <= 6 * error + 2 / vehicles, name
+        assert abs(proportion - expected) <= 6 * error + 2 / vehicles, name
 
 
-def test_the_papers_point_gives_known_shares() -> None:
+def test_the_papers_point_gives_known_proportions() -> None:
     # exp(-1.5) = 0.2231; times 1.5, 1.125 and what is left; each halved.
     expected = {
         "competitive": 0.1116,
@@ -57,7 +57,7 @@ def test_at_tau_zero_everybody_competes() -> None:
     assert set(assigned.ravel()) == {"charms-efficient-competitive"}
 
 
-def test_other_agents_take_the_shares_of_the_styles_that_they_are_given_for() -> None:
+def test_other_agents_take_the_proportions_of_the_styles_that_they_are_given_for() -> None:
     styles = {"efficient-egoistic": "mine.onnx", "safe-egoistic": "mine.onnx"}
     traffic = Pch(tau=1.5, beta=0.5, styles=styles)
     assigned = traffic.assign(np.random.default_rng(0), 1, 200_000)

@@ -59,10 +59,10 @@ def placed(settings: SceneSettings, engine: MakeEngine = BatchedEngine) -> Simul
 
 def test_parameters_are_uniform_in_their_ranges_and_independent() -> None:
     scene = started(seeds=tuple(range(300))).scene
-    shares = ((scene.parameters - LOW) / (HIGH - LOW)).reshape(-1, len(NAMES))
-    for share in shares.T:
-        assert stats.kstest(share, "uniform").pvalue > 1e-3
-    everything = np.c_[shares, scene.temperament.ravel()]
+    uniforms = ((scene.parameters - LOW) / (HIGH - LOW)).reshape(-1, len(NAMES))
+    for each in uniforms.T:
+        assert stats.kstest(each, "uniform").pvalue > 1e-3
+    everything = np.c_[uniforms, scene.temperament.ravel()]
     correlations = np.corrcoef(everything.T)[np.triu_indices(len(NAMES) + 1, 1)]
     assert np.abs(correlations).max() < 0.08  # 4 standard errors of 2,400 drivers are 0.082
 

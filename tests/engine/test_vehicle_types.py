@@ -60,7 +60,7 @@ def is_traffic(made: Simulation) -> np.ndarray:
     return np.arange(made.settings.vehicles) != made.scene.ego[:, None]
 
 
-def test_types_have_their_shares_and_the_ego_is_the_profiles_vehicle() -> None:
+def test_types_have_their_proportions_and_the_ego_is_the_profiles_vehicle() -> None:
     made = started(seeds=300)
     length, width = made.scene.length, made.scene.width
     traffic = is_traffic(made)

@@ -338,9 +338,9 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
         ({"duration_s": 0.01}, "charms_bench/Ego-v0: duration_s is shorter than one decision"),
         ({"profile": "charm"}, "profile: no profile named 'charm'.*Did you mean 'charms'"),
         ({"observation": "Kinematic"}, "no observation named 'Kinematic'.*Did you mean 'Kin"),
-        ({"traffic": {"idm_mobil": 0.5}}, "shares must be non-negative and sum to 1"),
-        ({"traffic": {"idm_mobil": float("nan")}}, "shares must be non-negative and sum to 1"),
-        ({"traffic": {"idm_mobil": None}}, "shares must be non-negative and sum to 1"),
+        ({"traffic": {"idm_mobil": 0.5}}, "must be non-negative and sum to 1"),
+        ({"traffic": {"idm_mobil": float("nan")}}, "must be non-negative and sum to 1"),
+        ({"traffic": {"idm_mobil": None}}, "must be non-negative and sum to 1"),
         ({"traffic": ["idm_mobil"]}, "traffic: found list, expected a name, a dictionary or a Tra"),
         ({"scene": {"road": "merge-v9"}}, "no road named 'merge-v9'.*Did you mean 'merge-v"),
         (

@@ -101,10 +101,10 @@ def test_a_copied_state_continues_as_the_original() -> None:
 def test_given_draws_come_first(draws: list[float], seed: int, bits: int) -> None:
     seeds = np.array([seed], dtype=np.uint64)
     (state,), (plain,) = with_draws(seeded(seeds), np.array([draws])), seeded(seeds)
-    share, count = ndtr(draws), 2**bits
-    assert random(state) == pytest.approx(share[0], abs=1e-12)
+    probability, count = ndtr(draws), 2**bits
+    assert random(state) == pytest.approx(probability[0], abs=1e-12)
     assert normal(state, 3.0, 2.0) == 3.0 + 2.0 * draws[1]
-    assert uniform(state, -5.0, 5.0) == pytest.approx(-5.0 + 10.0 * share[2], abs=1e-10)
-    assert abs(integers(state, 0, count) + 0.5 - count * share[3]) <= 0.5 + 1e-6
-    assert float(word(state)) == pytest.approx(share[4] * 2.0**64, abs=2.0**30)
+    assert uniform(state, -5.0, 5.0) == pytest.approx(-5.0 + 10.0 * probability[2], abs=1e-10)
+    assert abs(integers(state, 0, count) + 0.5 - count * probability[3]) <= 0.5 + 1e-6
+    assert float(word(state)) == pytest.approx(probability[4] * 2.0**64, abs=2.0**30)
     assert [word(state) for _ in range(5)] == [word(plain) for _ in range(5)]

@@ -42,8 +42,8 @@ def test_the_survey_counts_what_was_written(tmp_path: Path) -> None:
     assert facts["following_distance_m"]["0.95"] == pytest.approx(30.0)
     assert facts["offset_mean_m"] == pytest.approx(0.3)
     assert learnable.accepted + sum(learnable.rejected.values()) == facts["decisions"]
-    for shares in learnable.label_shares.values():
-        assert sum(shares.values()) == pytest.approx(1.0)
+    for proportions in learnable.label_shares.values():
+        assert sum(proportions.values()) == pytest.approx(1.0)
     assert learnable.training + learnable.held_out <= learnable.accepted
 
 

@@ -41,7 +41,7 @@ def test_traffic_crashes_are_counted_by_vehicle() -> None:
     )
 
 
-def test_without_traffic_its_share_of_crashes_is_undefined() -> None:
+def test_without_traffic_its_proportion_of_crashes_is_undefined() -> None:
     alone = ({"traffic_vehicles": 0, "traffic_distance_m": 0.0}, [{}])
     assert math.isnan(measure(of_standard("traffic_crashed"), alone))
 

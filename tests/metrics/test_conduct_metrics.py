@@ -1,4 +1,4 @@
-"""Rates and shares of what drivers do to each other, against hand calculation."""
+"""Rates and proportions of what drivers do to each other, against hand calculation."""
 
 import numpy as np
 import polars as pl
@@ -45,12 +45,12 @@ def measured(metric: Metric) -> float:
         ("traffic_rss_to", 0.1),  # 10 of 20 + 60 + 20 s
     ],
 )
-def test_rates_and_shares_are_those_of_the_sums(name: str, expected: float) -> None:
+def test_rates_and_proportions_are_those_of_the_sums(name: str, expected: float) -> None:
     assert measured(METRICS[name]) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("name", ["pet_below_2s_by", "traffic_pet_below_2s_to"])
-def test_a_share_of_nothing_is_not_defined(name: str) -> None:
+def test_a_proportion_of_nothing_is_not_defined(name: str) -> None:
     assert np.isnan(measured(METRICS[name]))
 
 

@@ -28,7 +28,7 @@ FAR, NEAR = step(FAR_S), step(NEAR_S)
 
 
 def beginnings(*steps: dict[str, Any]) -> tuple[float, ...]:
-    """The shares by the ego, by another vehicle and by closing in."""
+    """The proportions by the ego, by another vehicle and by closing in."""
     return tuple(measure(each, ({}, list(steps))) for each in BEGINNINGS)
 
 
@@ -89,8 +89,8 @@ def test_a_leader_of_the_first_decision_is_nobodys_doing() -> None:
     assert beginnings(NEAR, NEAR) == (0.0, 0.0, 1.0)
     before = ({}, [FAR, step(FAR_S, leader=7)])
     after = ({}, [step(NEAR_S, leader=7)])  # a lane change of the episode before does not count
-    shares = [measure(each, before, after) for each in BEGINNINGS]
-    assert shares == [0.0, 0.0, 1.0]
+    proportions = [measure(each, before, after) for each in BEGINNINGS]
+    assert proportions == [0.0, 0.0, 1.0]
 
 
 def test_without_a_conflict_nobody_begins_one() -> None:

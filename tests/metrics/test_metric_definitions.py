@@ -91,7 +91,7 @@ def test_the_order_of_rows_does_not_matter(run: tuple[Any, ...], random: Any) ->
 
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(runs())
-def test_shares_lie_between_0_and_1_and_nothing_is_negative(run: tuple[Any, ...]) -> None:
+def test_proportions_lie_between_0_and_1_and_nothing_is_negative(run: tuple[Any, ...]) -> None:
     for metric, value in zip(METRICS, values(*frames(*run)), strict=True):
         assert not value < 0, metric.name
         if not metric.unit:

@@ -27,9 +27,9 @@ def test_a_conflict_of_the_warm_up_or_of_a_wreck_does_not_count() -> None:
         "planar_conflicts_per_1000km", warm_up_s=0.5, conflict_ttc_s=1.5
     )  # the first decision is before
     assert measure(after, episode(1.2, 1.2, 2.0, 1.2, 2.0)) == pytest.approx(1 / 400e-6)
-    share = of_standard("planar_conflict_episodes", conflict_ttc_s=1.5)
+    metric = of_standard("planar_conflict_episodes", conflict_ttc_s=1.5)
     crashed = episode(2.0, 0.0, ending="side")
-    assert measure(share, episode(2.0, 1.2), episode(2.0, None), crashed) == pytest.approx(1 / 3)
+    assert measure(metric, episode(2.0, 1.2), episode(2.0, None), crashed) == pytest.approx(1 / 3)
 
 
 def test_the_smallest_planar_ttc_is_10_s_where_none_is_recorded() -> None:

@@ -29,7 +29,7 @@ def test_without_a_leader_there_is_no_ttc(metric: Metric) -> None:
     assert math.isnan(measure(metric, ({}, [{}, {}])))
 
 
-def test_a_share_among_closing_steps_needs_one() -> None:
+def test_a_proportion_among_closing_steps_needs_one() -> None:
     steps = [behind(20.0, 0.0), behind(20.0, -1.0)]
     assert measure(of_paper("ttc_below_3s"), ({}, steps)) == 0.0
     assert math.isnan(measure(of_paper("ttc_below_3s_closing"), ({}, steps)))

@@ -153,10 +153,10 @@ def test_the_terminal_names_what_differs(
 
 def test_a_sentence_says_how_many_episodes_end_by_time() -> None:
     names = ["agent", "road", "traffic", "metric_set", "metric", "value"]
-    shares = {"slow": (0.5, 0.1), "quick": (0.9, 0.1), "without a goal": (None, 0.2)}
+    proportions = {"slow": (0.5, 0.1), "quick": (0.9, 0.1), "without a goal": (None, 0.2)}
     rows = [
         (agent, "exit-v1", "human", f"{kind}-1", metric, value)
-        for agent, (goal, crashed) in shares.items()
+        for agent, (goal, crashed) in proportions.items()
         for kind, metric, value in (
             ("roads", "goal_reached", goal),
             ("standard", "crashed_episodes", crashed),

@@ -28,7 +28,7 @@ COLUMNS = {
     "stages": {"agreement": {"form": ".1%"}, "wall_s": {"unit": "s", "definition": "duration"}},
     "curves": {
         "return_mean": {"over": "steps", "title": "return of an episode"},
-        "crashed_share": {"over": "steps", "title": "share crashed", "form": ".0%"},
+        "crashed_share": {"over": "steps", "title": "proportion crashed", "form": ".0%"},
         "agreement": {"over": "epoch", "title": "agreement"},
     },
 }

@@ -152,7 +152,7 @@ def test_a_plugins_metric_is_computed_from_rows_it_has_never_seen(
     assert row["value"] == pytest.approx((jerk > 0.5).mean(), rel=1e-5)
     text = (folder / "tables" / "small.md").read_text()
     assert "## comfort-3(jerk_mps3=0.5)" in text
-    assert "- `jerky`: share of decisions with a jerk beyond 0.5 m/s³." in text
+    assert "- `jerky`: proportion of decisions with a jerk beyond 0.5 m/s³." in text
 
 
 def test_a_longer_threshold_exposes_more(finished: Path, tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def test_a_key_follows_the_content_of_a_traffics_network_and_not_its_path(
     assert key_of(tmp_path, WAYS[way]("one.onnx")) != before
 
 
-def test_a_key_follows_the_order_of_a_mixture_and_its_share_of_each_network(
+def test_a_key_follows_the_order_of_a_mixture_and_its_proportion_of_each_network(
     network_file: NetworkFile, tmp_path: Path
 ) -> None:
     for name in ("a", "b", "c"):

@@ -110,7 +110,7 @@ def proportion_ci(events: float, n: int) -> tuple[float, float]:
     return (middle - half) / (1 + z**2 / n), (middle + half) / (1 + z**2 / n)
 
 
-def test_the_share_of_plain_episodes_is_in_the_interval(whole: api.Rare, suite: Path) -> None:
+def test_the_proportion_of_plain_episodes_is_in_the_interval(whole: api.Rare, suite: Path) -> None:
     import numpy as np
 
     from charms_bench.engine.events import TimeToCollision, lowest_levels
@@ -123,9 +123,9 @@ def test_the_share_of_plain_episodes_is_in_the_interval(whole: api.Rare, suite: 
     traffic = loaded.traffics[0].traffic.make()
     simulation = Simulation(loaded.scene, 2000, "idm_mobil", traffic, agents)
     simulation.reset(np.arange(2000, dtype=np.uint64))
-    share = (lowest_levels(simulation, TimeToCollision(0.7)) <= 0).mean()
+    proportion = (lowest_levels(simulation, TimeToCollision(0.7)) <= 0).mean()
     number = whole.table.rows[0].numbers[0]
-    assert number.low < share < number.high
+    assert number.low < proportion < number.high
 
 
 def test_missing_and_damaged_runs_are_made_again_and_equal_the_first(

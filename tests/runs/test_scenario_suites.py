@@ -139,13 +139,13 @@ def test_preventable_collisions_are_those_that_the_careful_driver_avoids(
     table = run.tables["small-preventable"]
     definitions = {column.name: column.definition for column in table.columns}
     assert definitions["preventable"].endswith("does so and Careful does not")
-    shares = {row.labels: [number.value for number in row.numbers] for row in table.rows}
+    numbers = {row.labels: [number.value for number in row.numbers] for row in table.rows}
     found = [other.mean(), (other & ~careful).mean()]
-    assert shares["Level 0", "Braking"][:2] == pytest.approx(found)
+    assert numbers["Level 0", "Braking"][:2] == pytest.approx(found)
     # The careful driver brakes by 0.774 g at most.
-    assert shares["Careful", "Braking"][2] == pytest.approx(0.774 * 9.81, abs=0.01)
-    assert shares["Level 0", "Braking"][3:] == pytest.approx([(other & careful).mean(), 0.0])
-    assert shares["Careful", "Braking"][1] == 0
+    assert numbers["Careful", "Braking"][2] == pytest.approx(0.774 * 9.81, abs=0.01)
+    assert numbers["Level 0", "Braking"][3:] == pytest.approx([(other & careful).mean(), 0.0])
+    assert numbers["Careful", "Braking"][1] == 0
     assert (run.path / "figures" / "small-preventable.png").stat().st_size > 10_000
 
 

@@ -1,4 +1,4 @@
-"""Made-up episodes whose events are correlated, with a known share or rate."""
+"""Made-up episodes whose events are correlated, with a known proportion or rate."""
 
 import numpy as np
 
@@ -8,27 +8,28 @@ STEPS = 60
 
 
 def beta_binomial(
-    share: float, occasions: int, correlation: float, episodes: int, rng: np.random.Generator
+    proportion: float, occasions: int, correlation: float, episodes: int, rng: np.random.Generator
 ) -> Floats:
     """[E, 2] occasions and events; each two occasions of an episode have this correlation."""
-    within = np.full(episodes, share)
+    within = np.full(episodes, proportion)
     if correlation:
         scale = (1 - correlation) / correlation
-        within = rng.beta(share * scale, (1 - share) * scale, episodes)
+        within = rng.beta(proportion * scale, (1 - proportion) * scale, episodes)
     events = rng.binomial(occasions, within)
     return np.stack([np.full(episodes, occasions), events], axis=1).astype(np.float64)
 
 
-def bursts(share: float, mean_steps: float, episodes: int, rng: np.random.Generator) -> Floats:
+def bursts(proportion: float, mean_steps: float, episodes: int, rng: np.random.Generator) -> Floats:
     """[E, 2] steps, 0 to 60 of which are logged, and events in runs of this mean length.
 
     A stationary Markov chain: a run ends with probability 1 / mean_steps in each step. Steps at a
-    lag of k have the correlation (1 - 1 / mean_steps - share / (1 - share) / mean_steps)^k.
+    lag of k have the correlation
+    (1 - 1 / mean_steps - proportion / (1 - proportion) / mean_steps)^k.
     """
     logged = rng.integers(0, STEPS + 1, episodes)
-    starts, ends = share / (1 - share) / mean_steps, 1 / mean_steps
+    starts, ends = proportion / (1 - proportion) / mean_steps, 1 / mean_steps
     draws = rng.random((STEPS, episodes))
-    happens = draws[0] < share
+    happens = draws[0] < proportion
     events = happens & (logged > 0)
     counted = events.astype(np.int64)
     for step in range(1, STEPS):

@@ -76,27 +76,27 @@ def compared(cells: dict[str, CellRows], second: str) -> list[list[dict[str, Any
 
 
 def coverage(rows: list[list[dict[str, Any]]], truths: list[float]) -> np.ndarray:
-    """The share of intervals that hold the truth, by metric; NaN where there is none."""
-    held = np.full((REPETITIONS, METRICS), np.nan)
+    """The proportion of intervals that hold the truth, by metric; NaN where there is none."""
+    covered = np.full((REPETITIONS, METRICS), np.nan)
     for k, row in enumerate(rows):
         for i, (found, truth) in enumerate(zip(row, truths, strict=True)):
             if found["low"] is not None:
-                held[k, i] = found["low"] <= truth <= found["high"]
-    told = (~np.isnan(held)).sum(axis=0)
-    shares = np.where(told > 0, np.nansum(held, axis=0) / np.maximum(told, 1), np.nan)
-    for i, (found, share, count) in enumerate(zip(rows[0], shares, told, strict=True)):
+                covered[k, i] = found["low"] <= truth <= found["high"]
+    told = (~np.isnan(covered)).sum(axis=0)
+    proportions = np.where(told > 0, np.nansum(covered, axis=0) / np.maximum(told, 1), np.nan)
+    for i, (found, proportion, count) in enumerate(zip(rows[0], proportions, told, strict=True)):
         separated = np.mean([row[i]["separated"] for row in rows])
         print(
-            f"{found['second']:8} {found['metric_set']:10} {found['metric']:28} held {share:.3f} "
-            f"of {count} separated {separated:.3f}",
+            f"{found['second']:8} {found['metric_set']:10} {found['metric']:28} "
+            f"covered {proportion:.3f} of {count} separated {separated:.3f}",
             file=sys.stderr,
         )
-    pooled = np.nansum(held) / told.sum()
-    print(f"{rows[0][0]['second']}: {pooled:.4f} of all intervals held the truth", file=sys.stderr)
+    pooled = np.nansum(covered) / told.sum()
+    print(f"{rows[0][0]['second']}: {pooled:.4f} of all intervals cover the truth", file=sys.stderr)
     assert 0.93 <= pooled <= 0.97
     # 200 of 95 %: standard deviation 1.5 %; four of them below, among about 50 metrics.
-    assert np.nanmin(shares) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / REPETITIONS)
-    return shares
+    assert np.nanmin(proportions) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / REPETITIONS)
+    return proportions
 
 
 def test_two_drivers_of_one_kind_are_seldom_told_apart(cells: dict[str, CellRows]) -> None:
@@ -107,22 +107,22 @@ def test_two_drivers_of_one_kind_are_seldom_told_apart(cells: dict[str, CellRows
     assert false_alarms <= 0.06
 
 
-def test_a_difference_that_is_known_exactly_is_held(cells: dict[str, CellRows]) -> None:
+def test_a_difference_that_is_known_exactly_is_covered(cells: dict[str, CellRows]) -> None:
     rows = compared(cells, "faster")
     speeds = [[found for found in row if found["metric"] == "speed_mean"][-1] for row in rows]
     assert speeds[0]["metric_set"] == "standard-5"
-    held = np.mean([f["low"] <= -FASTER_MPS <= f["high"] for f in speeds])
+    covered = np.mean([f["low"] <= -FASTER_MPS <= f["high"] for f in speeds])
     detectable = np.median([f["detectable"] for f in speeds])
     found = np.mean([f["high"] < 0 for f in speeds])
     print(
-        f"faster: held {held:.3f}, seen {found:.3f} of {FASTER_MPS} m/s; said to see "
+        f"faster: covered {covered:.3f}, seen {found:.3f} of {FASTER_MPS} m/s; said to see "
         f"{detectable:.2f} m/s in 80 %",
         file=sys.stderr,
     )
-    assert held == pytest.approx(0.95, abs=0.045)  # three standard deviations
+    assert covered == pytest.approx(0.95, abs=0.045)  # three standard deviations
 
 
-def test_the_difference_of_two_kinds_of_drivers_is_held_and_found(
+def test_the_difference_of_two_kinds_of_drivers_is_covered_and_found(
     cells: dict[str, CellRows],
 ) -> None:
     scene = Suite.model_validate(SUITE).scene

@@ -18,7 +18,7 @@ def test_kl_is_scipys_entropy_of_counts_with_half_a_count_more() -> None:
 
 
 def test_kl_weighs_what_the_other_lacks_by_the_reference() -> None:
-    # Shares 7/8 and 1/8 against 1/2 and 1/2 (of 3 + 0.5 and 0 + 0.5, 3.5 and 3.5).
+    # Proportions 7/8 and 1/8 against 1/2 and 1/2 (of 3 + 0.5 and 0 + 0.5, 3.5 and 3.5).
     found = kl_divergence(np.array([3.0, 0.0]), np.array([3.0, 3.0]))
     assert found == pytest.approx(7 / 8 * np.log(7 / 4) + 1 / 8 * np.log(1 / 4))
 

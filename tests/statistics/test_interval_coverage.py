@@ -1,8 +1,9 @@
-"""Intervals of shares hold the true share in 94 to 96 % of simulated runs, and nowhere below 90 %.
+"""Intervals cover the true proportion in 94 to 96 % of simulated runs, and nowhere below 90 %.
 
 The designs: 600 and 1,800 episodes, 20 vehicles or 60 steps each, with correlations from 0 to 0.9
-between the occasions of an episode, and runs of events among 0 to 60 logged steps. True shares are
-log-uniform from 0.1 to 50 %. The slow test has 5,000 repetitions per design and prints its table.
+between the occasions of an episode, and runs of events among 0 to 60 logged steps. True proportions
+are log-uniform from 0.1 to 50 %. The slow test has 5,000 repetitions per design and prints its
+table.
 """
 
 import sys
@@ -16,18 +17,18 @@ from charms_bench.metrics.metric import Interval
 from charms_bench.statistics.intervals import clustered
 from charms_bench.world.scene import Floats
 
-SHARES = (0.001, 0.5)
+PROPORTIONS = (0.001, 0.5)
 RATES = (0.002, 5.0)
 BINS = (0.002, 0.004, 0.008, 0.02, 0.05, 0.15)
 Design = Callable[[float, int, np.random.Generator], Floats]
 
 
 def alike(occasions: int, correlation: float) -> Design:
-    return lambda share, episodes, rng: beta_binomial(share, occasions, correlation, episodes, rng)
+    return lambda true, episodes, rng: beta_binomial(true, occasions, correlation, episodes, rng)
 
 
 def in_runs(mean_steps: float) -> Design:
-    return lambda share, episodes, rng: bursts(share, mean_steps, episodes, rng)
+    return lambda true, episodes, rng: bursts(true, mean_steps, episodes, rng)
 
 
 DESIGNS = {
@@ -48,12 +49,12 @@ RATE_DESIGNS: dict[str, Design] = {
 }
 
 
-def held(
+def covered(
     design: Design,
     episodes: int,
     repetitions: int,
     seed: int,
-    between: tuple[float, float] = SHARES,
+    between: tuple[float, float] = PROPORTIONS,
     kind: Interval = "proportion",
 ) -> tuple[Floats, Floats]:
     """True values, and whether their intervals are below (-1), hold (0) or above (1) them."""
@@ -64,32 +65,33 @@ def held(
     return truths, np.where(high < truths, -1.0, np.where(low > truths, 1.0, 0.0))
 
 
-def by_share(shares: Floats, sides: Floats) -> Floats:
-    """The coverage in each bin of the true share."""
-    place = np.digitize(shares, BINS)
+def by_proportion(proportions: Floats, sides: Floats) -> Floats:
+    """The coverage in each bin of the true proportion."""
+    place = np.digitize(proportions, BINS)
     return np.array([(sides[place == k] == 0).mean() for k in range(len(BINS) + 1)])
 
 
 @pytest.mark.parametrize("name", ["60 occasions, correlation 0.3", "0 to 60 steps, runs of 8"])
-def test_intervals_of_shares_hold_the_share_in_most_of_600_runs(name: str) -> None:
-    _, sides = held(DESIGNS[name], episodes=600, repetitions=600, seed=11)
+def test_intervals_cover_the_true_proportion_in_most_of_600_runs(name: str) -> None:
+    _, sides = covered(DESIGNS[name], episodes=600, repetitions=600, seed=11)
     # 600 of 95 %: standard deviation 0.9 %.
     assert (sides == 0).mean() == pytest.approx(0.95, abs=0.03)
 
 
 @pytest.mark.slow
-def test_intervals_of_shares_hold_the_share_in_94_to_96_percent_on_average() -> None:
+def test_intervals_cover_the_true_proportion_in_94_to_96_percent_on_average() -> None:
     means, worst = [], []
-    print("\n  below = interval below the share\n", file=sys.stderr)
+    print("\n  below = interval below the proportion\n", file=sys.stderr)
     for episodes in (600, 1800):
         for seed, (name, design) in enumerate(DESIGNS.items()):
-            shares, sides = held(design, episodes, repetitions=5000, seed=seed)
-            bins = by_share(shares, sides)
+            proportions, sides = covered(design, episodes, repetitions=5000, seed=seed)
+            bins = by_proportion(proportions, sides)
             means.append((sides == 0).mean())
             worst.append(bins.min())
             print(
-                f"{episodes:5} {name:32} held {means[-1]:.3f} below {(sides < 0).mean():.3f} "
-                f"above {(sides > 0).mean():.3f}; by share {' '.join(f'{b:.3f}' for b in bins)}",
+                f"{episodes:5} {name:32} covered {means[-1]:.3f} below {(sides < 0).mean():.3f} "
+                f"above {(sides > 0).mean():.3f}; by proportion "
+                f"{' '.join(f'{b:.3f}' for b in bins)}",
                 file=sys.stderr,
             )
     print(f"mean {np.mean(means):.4f}, lowest bin {np.min(worst):.3f}", file=sys.stderr)
@@ -101,11 +103,11 @@ def test_intervals_of_shares_hold_the_share_in_94_to_96_percent_on_average() -> 
 def test_intervals_of_rates_hold_the_rate_and_are_wide_at_few_events() -> None:
     for episodes in (600, 1800):
         for seed, (name, design) in enumerate(RATE_DESIGNS.items()):
-            rates, sides = held(design, episodes, 5000, seed, RATES, "rate")
+            rates, sides = covered(design, episodes, 5000, seed, RATES, "rate")
             tenths = np.array_split((sides == 0)[np.argsort(rates)], 10)
             bins = np.array([tenth.mean() for tenth in tenths])
             print(
-                f"{episodes:5} {name:20} held {(sides == 0).mean():.3f}; by rate "
+                f"{episodes:5} {name:20} covered {(sides == 0).mean():.3f}; by rate "
                 f"{' '.join(f'{b:.3f}' for b in bins)}",
                 file=sys.stderr,
             )

@@ -92,14 +92,14 @@ def test_the_bootstrap_interval_of_a_standard_deviation_is_scipys() -> None:
 
 def test_about_95_of_100_intervals_hold_the_truth() -> None:
     rng = np.random.default_rng(4)
-    held = 0
+    covering = 0
     for seed in range(200):
         steps = np.full(80, 60.0)
         # Steps of an episode depend on one another: the mean of each is drawn.
         total = steps * rng.normal(25.0, 2.0, size=80)
         (result,) = estimate([metric_of()], [np.stack([steps, total], axis=1)], seed)
-        held += result.low <= 25.0 <= result.high
-    assert 0.90 <= held / 200 <= 0.985
+        covering += result.low <= 25.0 <= result.high
+    assert 0.90 <= covering / 200 <= 0.985
 
 
 def test_the_same_seed_gives_the_same_interval_whatever_is_beside_it() -> None:
@@ -110,7 +110,7 @@ def test_the_same_seed_gives_the_same_interval_whatever_is_beside_it() -> None:
     assert pair[0].high == pytest.approx(alone.high, rel=1e-12)
 
 
-def test_a_share_that_never_happens_is_bounded_as_if_steps_of_an_episode_were_alike() -> None:
+def test_a_proportion_that_never_happens_is_bounded_as_if_steps_of_an_episode_were_alike() -> None:
     # 60 and 30 alike steps weigh as much as 90² / (60² + 30²) = 1.8 independent ones.
     never = [[60, 0], [30, 0], [0, 0]]
     always = [[60, 60], [30, 30]]
@@ -135,7 +135,7 @@ def test_episodes_without_occasions_do_not_change_the_interval_of_a_proportion()
     assert interval_of([*sums, [0, 0]], "proportion") == interval_of(sums, "proportion")
 
 
-def test_a_single_event_does_not_make_a_share_certain() -> None:
+def test_a_single_event_does_not_make_a_proportion_certain() -> None:
     sums = [[60, 0]] * 599 + [[60, 1]]
     low, high = interval_of(sums, "proportion")
     # Not much less than if it never happened, 3.8415 / 603.8.
@@ -148,10 +148,10 @@ def test_a_single_event_does_not_make_a_share_certain() -> None:
 
 def test_events_of_many_episodes_have_korn_and_graubards_effective_sample_size() -> None:
     rng = np.random.default_rng(7)
-    shares = rng.binomial(50, rng.beta(2.0, 8.0, 2000)) / 50
-    sums = np.stack([np.full(2000, 50), 50 * shares], axis=1)
-    size = shares.mean() * (1 - shares.mean()) / (shares.var(ddof=1) / 2000)
-    expected = stats.binomtest(round(size * shares.mean()), round(size)).proportion_ci(
+    proportions = rng.binomial(50, rng.beta(2.0, 8.0, 2000)) / 50
+    sums = np.stack([np.full(2000, 50), 50 * proportions], axis=1)
+    size = proportions.mean() * (1 - proportions.mean()) / (proportions.var(ddof=1) / 2000)
+    expected = stats.binomtest(round(size * proportions.mean()), round(size)).proportion_ci(
         method="wilson"
     )
     assert interval_of(sums.tolist(), "proportion") == pytest.approx(tuple(expected), rel=2e-3)
@@ -176,7 +176,7 @@ def test_the_interval_of_a_single_episode_treats_its_steps_as_one() -> None:
     assert interval_of([[60, 30]], "proportion") == pytest.approx(wilson(0.5, 1))
 
 
-def test_a_share_of_episodes_has_wilsons_interval() -> None:
+def test_a_proportion_of_episodes_has_wilsons_interval() -> None:
     sums = [[1, 1]] * 81 + [[1, 0]] * 182
     assert interval_of(sums, "wilson") == wilson(81, 263)
 

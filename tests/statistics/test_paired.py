@@ -25,7 +25,7 @@ def difference(
     return found
 
 
-def shares(both: int, only_first: int, only_second: int, neither: int) -> list[np.ndarray]:
+def outcomes(both: int, only_first: int, only_second: int, neither: int) -> list[np.ndarray]:
     counts = (both, only_first, only_second, neither)
     first, second = np.repeat([1, 1, 0, 0], counts), np.repeat([1, 0, 1, 0], counts)
     return [np.stack([np.ones(sum(counts)), each], axis=1) for each in (first, second)]
@@ -64,8 +64,8 @@ def test_mcnemars_p_is_the_published_one() -> None:
     assert mcnemar(0, 0) == 1.0
 
 
-def test_shares_of_episodes_are_compared_by_mcnemar_and_tango() -> None:
-    found = difference(*shares(59, 6, 16, 80), interval="wilson")
+def test_proportions_of_episodes_are_compared_by_mcnemar_and_tango() -> None:
+    found = difference(*outcomes(59, 6, 16, 80), interval="wilson")
     assert found.value == pytest.approx(-10 / 161)
     assert (found.low, found.high) == pytest.approx((-0.1240, -0.0054), abs=5e-5)
     assert found.p == pytest.approx(0.052479, abs=1e-6)
@@ -73,7 +73,7 @@ def test_shares_of_episodes_are_compared_by_mcnemar_and_tango() -> None:
     assert found.detectable == pytest.approx(2.8016 * 0.029027, rel=1e-4)
 
 
-def test_a_share_of_collisions_is_not_one_of_episodes() -> None:
+def test_a_proportion_of_collisions_is_not_one_of_episodes() -> None:
     """105 of 106 collisions against 15 of 15, in 200 episodes."""
     first, second = np.zeros((200, 2)), np.zeros((200, 2))
     first[:106, 0], first[:105, 1] = 1.0, 1.0
@@ -85,7 +85,7 @@ def test_a_share_of_collisions_is_not_one_of_episodes() -> None:
 
 
 @pytest.mark.parametrize("nothing", [0, 1])
-def test_a_share_of_nothing_is_not_compared(nothing: int) -> None:
+def test_a_proportion_of_nothing_is_not_compared(nothing: int) -> None:
     both = [means(np.ones(40)), means(np.ones(40))]
     both[nothing] = np.zeros((40, 2))
     found = difference(*both, interval="wilson")
@@ -93,8 +93,8 @@ def test_a_share_of_nothing_is_not_compared(nothing: int) -> None:
     assert found.p == 1.0
 
 
-def test_shares_that_never_differ_could_still_have_shown_only_so_much() -> None:
-    found = difference(*shares(0, 0, 0, 98), interval="wilson")
+def test_proportions_that_never_differ_could_still_have_shown_only_so_much() -> None:
+    found = difference(*outcomes(0, 0, 0, 98), interval="wilson")
     assert (found.value, found.p) == (0.0, 1.0)
     assert found.detectable == pytest.approx(2.8016 * 0.01, rel=1e-4)
 
@@ -178,7 +178,7 @@ def steps_with(*events: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("events", [(), (1,), (5, 60)])
-def test_a_share_of_few_events_has_an_interval_around_no_difference(
+def test_a_proportion_of_few_events_has_an_interval_around_no_difference(
     events: tuple[int, ...],
 ) -> None:
     found = difference(steps_with(*events), steps_with(), "proportion")
@@ -198,7 +198,7 @@ def test_agents_that_share_all_events_are_not_apart() -> None:
     assert np.isnan([found.low, found.high]).all()
 
 
-def test_combined_intervals_are_newcombes_of_independent_shares() -> None:
+def test_combined_intervals_are_newcombes_of_independent_proportions() -> None:
     # Newcombe 1998, Statistics in Medicine 17, 873-890, table II (a), method 10: 56/70 - 48/80.
     found = combined([56 / 70, 48 / 80], [wilson(56, 70), wilson(48, 80)])
     assert found == pytest.approx((0.0524, 0.3339), abs=5e-5)

@@ -17,8 +17,8 @@ from charms_bench.statistics.subset_simulation import (
 
 
 def run_of(probability: float, levels: int = 3) -> SubsetRun:
-    shares = (0.2,) * (levels - 1) + (probability / 0.2 ** (levels - 1),)
-    return SubsetRun((0.0,) * levels, (0.5,) * (levels - 1), shares, (1.0,) * levels, 1000)
+    proportions = (0.2,) * (levels - 1) + (probability / 0.2 ** (levels - 1),)
+    return SubsetRun((0.0,) * levels, (0.5,) * (levels - 1), proportions, (1.0,) * levels, 1000)
 
 
 def estimated(
@@ -51,7 +51,7 @@ def test_the_interval_of_500_runs_of_100_samples_holds_the_probability_within() 
     assert high / low < 1.2
 
 
-def test_a_common_event_is_a_plain_share_of_one_level() -> None:
+def test_a_common_event_is_a_plain_proportion_of_one_level() -> None:
     (run,) = estimated(PROBLEMS["linear"](0.3), 1000, 1, 0)
     assert run.thresholds == (0.0,)
     assert run.evaluations == 1000
@@ -61,7 +61,7 @@ def test_a_common_event_is_a_plain_share_of_one_level() -> None:
 def test_the_pilot_keeps_a_fifth_at_each_level_and_simulates_the_rest() -> None:
     level = PROBLEMS["linear"](1e-4)
     pilot = pilot_run(level, DIMENSION, 200, np.random.default_rng(0))
-    assert all(share in (0.2, 0.205, 0.21, 0.215, 0.22, 0.225) for share in pilot.shares[1:-1])
+    assert all(each in (0.2, 0.205, 0.21, 0.215, 0.22, 0.225) for each in pilot.shares[1:-1])
     assert pilot.shares[0] == 0.2
     assert list(pilot.thresholds) == sorted(pilot.thresholds, reverse=True)
     assert pilot.thresholds[-1] == 0.0
@@ -69,7 +69,7 @@ def test_the_pilot_keeps_a_fifth_at_each_level_and_simulates_the_rest() -> None:
     assert pilot.evaluations == 200 + 160 * (len(pilot.shares) - 1)
 
 
-def test_runs_have_the_thresholds_of_the_pilot_and_other_shares() -> None:
+def test_runs_have_the_thresholds_of_the_pilot_and_other_proportions() -> None:
     level, rng = PROBLEMS["linear"](1e-4), np.random.default_rng(0)
     pilot = pilot_run(level, DIMENSION, 200, rng)
     one, other = subset_simulation(level, DIMENSION, 200, 2, pilot, rng)
@@ -78,10 +78,10 @@ def test_runs_have_the_thresholds_of_the_pilot_and_other_shares() -> None:
     assert one.evaluations == pilot.evaluations
 
 
-def test_moves_are_accepted_near_the_target_share() -> None:
+def test_moves_are_accepted_near_the_target_proportion() -> None:
     (run,) = estimated(PROBLEMS["linear"](1e-6), 1000, 1, 0)
     assert run.acceptance[0] == 1.0
-    assert all(0.25 < share < 0.6 for share in run.acceptance[1:])
+    assert all(0.25 < each < 0.6 for each in run.acceptance[1:])
 
 
 def test_a_run_ends_at_a_level_that_no_point_reaches() -> None:
@@ -156,14 +156,14 @@ COUNTS = (5, 10, 50, 100, 500)
 
 
 def covered(name: str, probability: float, samples: int, repetitions: int) -> dict[int, float]:
-    """The share of repetitions whose interval holds the probability, by the number of runs."""
-    level, held = PROBLEMS[name](probability), dict.fromkeys(COUNTS, 0)
+    """The proportion of repetitions whose interval holds the probability, by the number of runs."""
+    level, covering = PROBLEMS[name](probability), dict.fromkeys(COUNTS, 0)
     for repetition in range(repetitions):
         runs = estimated(level, samples, max(COUNTS), repetition, dimension=2)
         for count in COUNTS:
             low, high = interval(runs[:count], samples)
-            held[count] += low <= probability <= high
-    return {count: each / repetitions for count, each in held.items()}
+            covering[count] += low <= probability <= high
+    return {count: each / repetitions for count, each in covering.items()}
 
 
 def test_intervals_of_few_and_many_small_runs_hold_a_probability() -> None:

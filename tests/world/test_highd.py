@@ -148,11 +148,11 @@ def test_a_mistake_is_said_with_file_and_line(
 
 
 @pytest.mark.parametrize("kind", ["tracks", "tracksMeta", "recordingMeta"])
-@pytest.mark.parametrize("share", [0.0, 0.4, 0.9])
-def test_a_file_cut_short_is_rejected(tmp_path: Path, kind: str, share: float) -> None:
+@pytest.mark.parametrize("fraction", [0.0, 0.4, 0.9])
+def test_a_file_cut_short_is_rejected(tmp_path: Path, kind: str, fraction: float) -> None:
     path = write_trio(tmp_path, busy_road(frames=3)) / f"01_{kind}.csv"
     content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
+    path.write_bytes(content[: int(fraction * len(content))])
     with pytest.raises(DataError, match=rf"01_{kind}\.csv"):
         list(read_folder(tmp_path))
 

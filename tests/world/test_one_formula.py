@@ -24,7 +24,7 @@ from charms_bench.world.idm_mobil import (
     equilibrium_gap,
     free_acceleration,
     interaction,
-    share_of_speed,
+    speed_ratio,
 )
 from charms_bench.world.profile import CHARMS, IdmMobilParameters
 
@@ -37,9 +37,9 @@ def idm(
     speed: float, leader_speed: float, gap: float, target_speed: float, p: IdmMobilParameters
 ) -> float:
     """The acceleration with the exponent 4."""
-    share, most = share_of_speed(speed, target_speed, target_speed), p.acceleration_mps2
+    ratio, most = speed_ratio(speed, target_speed, target_speed), p.acceleration_mps2
     wanted = desired_gap(speed, speed - leader_speed, p)
-    return free_acceleration(share, 4.0, most) - interaction(wanted, gap, most)
+    return free_acceleration(ratio, 4.0, most) - interaction(wanted, gap, most)
 
 
 def test_it_is_equation_3() -> None:

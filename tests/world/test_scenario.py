@@ -94,8 +94,8 @@ def test_draws_of_a_normal_parameter_have_the_truncated_normal_distribution() ->
     gap = {"range": [10, 30], "normal": [15, 6]}
     drawn = values_at(scenario(parameters={"gap": gap, "v": [20, 30]}), np.arange(4096))["gap"]
     theory = truncnorm((10 - 15) / 6, (30 - 15) / 6, loc=15, scale=6)
-    shares = [0.01, 0.1, 0.5, 0.9, 0.99]
-    np.testing.assert_allclose(np.quantile(drawn, shares), theory.ppf(shares), atol=0.02)
+    levels = [0.01, 0.1, 0.5, 0.9, 0.99]
+    np.testing.assert_allclose(np.quantile(drawn, levels), theory.ppf(levels), atol=0.02)
 
 
 def test_a_gap_is_measured_from_bumper_to_bumper() -> None:

@@ -103,8 +103,8 @@ class SampleSettings(FrozenModel):
     idle_ratio: NonNegative = 0.25
     """IDLE samples for each other sample, at most; 0.25 makes IDLE a fifth, one action of five."""
     held_out: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.2
-    """Share of the drivers to hold out, rounded to whole drivers; at least one, unless the share is
-    0 or there is only one driver."""
+    """Proportion of the drivers to hold out, rounded to whole drivers; at least one, unless it is 0
+    or there is only one driver."""
     seed: Annotated[int, Field(ge=0)] = 0
 
     @model_validator(mode="after")

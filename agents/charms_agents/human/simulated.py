@@ -31,7 +31,7 @@ from charms_bench.world.observations import (
 from charms_bench.world.scene import Observations, SceneSettings
 
 HELD_OUT = 0.1
-"""Share of the episodes whose samples are kept from training."""
+"""Proportion of the episodes whose samples are kept from training."""
 SETTLING_S = 2.0
 """The first part of an episode, in which drivers recover from the spawn, is left out."""
 _EGO = "the driver"

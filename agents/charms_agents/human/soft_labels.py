@@ -56,10 +56,10 @@ def brakings(
     It sets the target speed below the present speed, and the profile's speed controller follows.
     """
     frames = round(scene.simulation_hz / decision_hz)
-    share = 1 / (scene.simulation_hz * scene.profile.tau_acceleration_s)
-    lost = 1 - (1 - share) ** frames
+    gain = 1 / (scene.simulation_hz * scene.profile.tau_acceleration_s)
+    lost = 1 - (1 - gain) ** frames
     if scene.profile.ego_control_rate == "decision":
-        lost = frames * share
+        lost = frames * gain
     return {
         k: -change * lost * decision_hz
         for k, each in enumerate(actions)
@@ -106,9 +106,9 @@ def soft_labels(
     p_speed = (longitudinal != 0).astype(np.float64)
     p_lane = (lateral != 0).astype(np.float64)
     if both.any():
-        a_share, v_share = a[both] / a.mean(), v[both] / v.mean()
-        p_speed[both] = a_share / (a_share + v_share)  # eq. 9
-        p_lane[both] = v_share / (a_share + v_share)  # eq. 10
+        a_relative, v_relative = a[both] / a.mean(), v[both] / v.mean()
+        p_speed[both] = a_relative / (a_relative + v_relative)  # eq. 9
+        p_lane[both] = v_relative / (a_relative + v_relative)  # eq. 10
     columns = columns_of(actions)
     labels = np.zeros((longitudinal.size, len(actions)), dtype=np.float32)
     labels[:, columns.faster] = np.where(longitudinal > 0, p_speed, 0.0)

@@ -126,7 +126,7 @@ class CompletedReward:
         """The rewards (B,) of the decisions."""
         scene = simulation.scene
         of_scenes = self._styles[np.arange(scene.ego.size) % len(self._styles)]
-        own_share, others_share, a, b, c = of_scenes.T
+        own_weight, others_weight, a, b, c = of_scenes.T
         own = (
             a * safety(scene, self.scales)
             + b * self._efficiency(simulation)
@@ -137,11 +137,11 @@ class CompletedReward:
         own = np.where(simulation.failed, -self.scales.failure_cost, own)
         if self.scales.goal_reward:
             own = own + self.scales.goal_reward * (simulation.ending == GOAL)
-        rewards = own_share * own
-        if others_share.any():
+        rewards = own_weight * own
+        if others_weight.any():
             gain = others(scene, prepared.affected, self.scales.others_gain_mps2)
             gain /= self.scales.others_acceleration_mps2
-            rewards += others_share * np.where(simulation.failed, 0.0, gain)
+            rewards += others_weight * np.where(simulation.failed, 0.0, gain)
         return np.asarray(rewards)
 
     def _efficiency(self, simulation: Simulation) -> Floats:
@@ -167,9 +167,9 @@ class CompletedReward:
 def safety(scene: Scene, scales: RewardScales) -> Floats:
     """r_s (B,), eq. 4, from 0 to 1, if vehicles ahead may lose speed; see `RewardScales`.
 
-    It is the time to collision with the leader as a share of the horizon. During a lane change, it
-    is the mean of the shares of the leader and the follower on the target lane, but at most that of
-    the leader on the lane that the ego leaves.
+    It is the time to collision with the leader, divided by the horizon. During a lane change, it is
+    the mean for the leader and the follower on the target lane, but at most that for the leader on
+    the lane that the ego leaves.
     """
     return _safety(scene, scales.safety_horizon_s, scales.leader_loses_mps)
 
@@ -180,19 +180,19 @@ def _safety(scene: Scene, horizon_s: float, loses_mps: float) -> Floats:
     for b in range(result.size):
         ego = scene.ego[b]
         lane, target = scene.lane[b, ego], scene.target_lane[b, ego]
-        result[b] = _share(scene, b, ego, scene.leaders[b, ego, TARGET], horizon_s, loses_mps)
+        result[b] = _safe(scene, b, ego, scene.leaders[b, ego, TARGET], horizon_s, loses_mps)
         if lane != target:
-            rear = _share(scene, b, scene.followers[b, ego, TARGET], ego, horizon_s, loses_mps)
-            left = _share(scene, b, ego, scene.leaders[b, ego, OWN], horizon_s, loses_mps)
+            rear = _safe(scene, b, scene.followers[b, ego, TARGET], ego, horizon_s, loses_mps)
+            left = _safe(scene, b, ego, scene.leaders[b, ego, OWN], horizon_s, loses_mps)
             result[b] = min(0.5 * result[b] + 0.5 * rear, left)
     return result
 
 
 @compiled
-def _share(
+def _safe(
     scene: Scene, b: int, behind: int, ahead: int, horizon_s: float, loses_mps: float
 ) -> float:
-    """The time to collision as a share of the horizon, from 0 to 1; -1 stands for no vehicle."""
+    """The time to collision divided by the horizon, from 0 to 1; -1 stands for no vehicle."""
     if behind < 0 or ahead < 0:
         return 1.0
     apart, length = distance(scene, b, behind, ahead), scene.length

@@ -49,8 +49,8 @@ class Epoch:
     log_likelihood: float | None
     """Mean of the sum of y log softmax(Q / T) over held-out samples, in nats; None without any."""
     agreement: float | None
-    """Share of held-out samples in which the network's action is the label's most probable one,
-    or one of several; None if no samples are held out."""
+    """Proportion of held-out samples in which the network's action is the label's most probable
+    one, or one of several; None if no samples are held out."""
 
     @property
     def in_words(self) -> str:

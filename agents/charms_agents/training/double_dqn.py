@@ -207,7 +207,7 @@ class DoubleDQN:
 
     @property
     def _remaining(self) -> float:
-        """The share of all steps that remains."""
+        """The proportion of all steps that remains."""
         return 1 - self.steps / self.total
 
     def values(self, observations: Observations) -> NDArray[np.float32]:

@@ -13,7 +13,7 @@ from charms_bench.foundation.fields import UNLESS_EMPTY, FrozenModel, NonNegativ
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Width = Annotated[int, Field(ge=1, le=4096)]
 """Number of neurons in a layer."""
-Share = Annotated[float, Field(ge=0, le=1)]
+Proportion = Annotated[float, Field(ge=0, le=1)]
 UNLESS_1 = Field(exclude_if=lambda value: value == 1)
 
 
@@ -22,7 +22,7 @@ class Hyperparameters(FrozenModel):
 
     learning_rate: Positive = 1e-4
     batch_size: Annotated[int, Field(ge=1, le=100_000)] = 32
-    discount: Share = 0.99
+    discount: Proportion = 0.99
     replay_buffer: Annotated[int, Field(ge=1, le=10_000_000)] = 50_000
     """Number of steps that are kept."""
     learning_starts: Annotated[int, Field(ge=0, le=10**9)] = 10_000
@@ -30,9 +30,9 @@ class Hyperparameters(FrozenModel):
     steps_per_gradient_step: Count = 2
     target_update_steps: Count = 500
     """Steps between two copies of the network to the target network."""
-    exploration_initial: Share = 1.0
-    exploration_final: Share = 0.05
-    exploration_share: Annotated[Share, Field(alias="exploration_fraction")] = 0.1
+    exploration_initial: Proportion = 1.0
+    exploration_final: Proportion = 0.05
+    exploration_share: Annotated[Proportion, Field(alias="exploration_fraction")] = 0.1
     """Proportion of all steps over which exploration falls from initial to final."""
     max_gradient_norm: Positive = 10.0
     hidden_layers: Annotated[tuple[Width, ...], Field(strict=False, max_length=8)] = (256, 256)
@@ -42,8 +42,8 @@ class Hyperparameters(FrozenModel):
     """Number of rewards in a target before the value (n-step returns)."""
     target_update_rate: Annotated[float, Field(gt=0, le=1), UNLESS_1] = 1.0
     """Weight of the network in an update of the target network; 1 copies it."""
-    learning_rate_decay: Annotated[Share, UNLESS_EMPTY] = 0.0
-    """Share of all steps, at the end, over which the learning rate falls to 0."""
+    learning_rate_decay: Annotated[Proportion, UNLESS_EMPTY] = 0.0
+    """Proportion of all steps, at the end, over which the learning rate falls to 0."""
     standardised: Annotated[bool, UNLESS_EMPTY] = False
     """Whether the network takes standardised observations, of order 1."""
     prior_weight: Annotated[NonNegative, UNLESS_EMPTY] = 0.0
@@ -69,13 +69,13 @@ class Hyperparameters(FrozenModel):
         return self
 
     def learning_rate_at(self, remaining: float) -> float:
-        """The learning rate when the share `remaining` of all steps remains."""
+        """The learning rate when a proportion `remaining` of all steps remains."""
         if not self.learning_rate_decay:
             return self.learning_rate
         return self.learning_rate * min(remaining / self.learning_rate_decay, 1.0)
 
     def exploration_at(self, remaining: float) -> float:
-        """The probability of a random action when the share `remaining` of all steps remains."""
+        """The probability of a random action when a proportion `remaining` of all steps remains."""
         if 1 - remaining > self.exploration_share:
             return self.exploration_final
         fall = (1 - remaining) * (self.exploration_final - self.exploration_initial)
@@ -94,8 +94,9 @@ class Supervised(FrozenModel):
     """Smallest probability of an action in a label; at 0, eq. 11 would be infinite."""
     rehearsal: NonNegative = 0.0
     """Weight of the change of Q in the network's own driving; 0 in the paper."""
-    learning_rate_decay: Share = 0.0
-    """Share of all epochs, at the end, over which the learning rate falls to 0; 0 in the paper."""
+    learning_rate_decay: Proportion = 0.0
+    """Proportion of all epochs, at the end, over which the learning rate falls to 0; 0 in the
+    paper."""
     loss: Annotated[
         Literal["divergence", "cross_entropy"],
         Field(exclude_if=lambda loss: loss == "divergence"),

@@ -100,16 +100,16 @@ class StyleReward:
     def __call__(self, simulation: Simulation, prepared: Prepared) -> Floats:
         """The rewards (B,) of the decisions."""
         scene, weights = simulation.scene, self.weights
-        own_share, others_share = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        own_weight, others_weight = math.cos(self.angle_rad), math.sin(self.angle_rad)
         own = (
             weights.safety * safety(scene)
             + weights.efficiency * efficiency(scene)
             + weights.comfort * prepared.consistent
         )
-        rewards = own_share * own / weights.largest
-        if others_share:
+        rewards = own_weight * own / weights.largest
+        if others_weight:
             gain = others(scene, prepared.affected, INCREASE_LIMIT_MPS2)
-            rewards += others_share * (gain + 6) / 12
+            rewards += others_weight * (gain + 6) / 12
         return np.where(simulation.failed, FAILURE, rewards)
 
 
@@ -117,9 +117,9 @@ class StyleReward:
 def safety(scene: Scene) -> Floats:
     """r_s (B,), eq. 4, from 0 to 1; 1 if no collision is less than `SAFE_TTC_S` away.
 
-    It is the time to collision with the leader in the ego's lane, as a share of `SAFE_TTC_S`.
-    During a lane change it is the mean of the shares for the leader and the follower in the target
-    lane. A missing or departing vehicle counts as safe.
+    It is the time to collision with the leader in the ego's lane, divided by `SAFE_TTC_S`.
+    During a lane change it is the mean for the leader and the follower in the target lane. A
+    missing or departing vehicle counts as safe.
     """
     result = np.empty(scene.ego.size)
     for b in range(result.size):
@@ -138,8 +138,8 @@ def efficiency(scene: Scene) -> Floats:
     """r_e (B,), eq. 5: the forward speed, mapped from [23, 33] m/s to [0, 1]."""
     egos = np.arange(scene.ego.size), scene.ego
     forward = scene.speed[egos] * np.cos(scene.heading[egos])
-    share = (forward - SPEED_LOW_MPS) / (SPEED_HIGH_MPS - SPEED_LOW_MPS)
-    return share.clip(0.0, 1.0)
+    scaled = (forward - SPEED_LOW_MPS) / (SPEED_HIGH_MPS - SPEED_LOW_MPS)
+    return scaled.clip(0.0, 1.0)
 
 
 @compiled

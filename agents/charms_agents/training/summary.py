@@ -30,14 +30,14 @@ COLUMNS = ColumnsFile(
             form=".1f",
         ),
         "crashed": StageColumn(
-            definition="share of episodes that ended in a crash at that point", form=".1%"
+            definition="proportion of episodes that ended in a crash at that point", form=".1%"
         ),
         "agreement_before": StageColumn(
-            definition="share of held-out human decisions that the network also takes, before it "
-            "learns from human driving",
+            definition="proportion of held-out human decisions that the network also takes, before "
+            "it learns from human driving",
             form=".1%",
         ),
-        "agreement": StageColumn(definition="the same share afterwards", form=".1%"),
+        "agreement": StageColumn(definition="the same proportion afterwards", form=".1%"),
         "log_likelihood_before": StageColumn(
             unit="nats",
             definition="mean log-likelihood of held-out human decisions, before the network learns "
@@ -50,7 +50,9 @@ COLUMNS = ColumnsFile(
     },
     curves={
         "return_mean": CurveColumn(over="steps", title="return of an episode"),
-        "crashed_share": CurveColumn(over="steps", title="share of episodes crashed", form=".1%"),
+        "crashed_share": CurveColumn(
+            over="steps", title="proportion of episodes crashed", form=".1%"
+        ),
         "loss": CurveColumn(over="epoch", title="loss"),
         "agreement": CurveColumn(
             over="epoch", title="agreement with held-out human decisions", form=".1%"

@@ -13,7 +13,7 @@ from charms_bench.world.scene import Floats
 
 UNIT = {"speed": "m/s", "dhw": "m"}
 SHOWN = 1e-3
-"""Bins in which no traffic and no reference has a greater share are cut off at both ends."""
+"""Bins in which no traffic and no reference has a greater proportion are cut off at both ends."""
 
 
 def recorded(quantity: str, references: Sequence[Reference]) -> dict[str, Floats]:

@@ -38,6 +38,6 @@ def _draw(points: pl.DataFrame, name: str, curve: CurveColumn, stages: list[str]
         axes.xaxis.set_major_formatter(lambda x, _: f"{x / 1000:,.0f}k" if x else "0")
     if curve.form.endswith("%"):
         axes.set_ylim(bottom=0)
-        axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
+        axes.yaxis.set_major_formatter(lambda proportion, _: f"{100 * proportion:g} %")
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=7.5)
     return figure

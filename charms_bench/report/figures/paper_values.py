@@ -43,7 +43,7 @@ def _row(table: Table, places: Sequence[int]) -> Figure:
         panel.margins(x=0.12)
         panel.locator_params(axis="x", nbins=4)
         if table.columns[place].form == "%":
-            panel.xaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
+            panel.xaxis.set_major_formatter(lambda proportion, _: f"{100 * proportion:g} %")
             panel.set_xlim(*_proportions(table))
         panel.set_title(fill(table.columns[place].title, TITLE_WIDTH), fontsize=9)
     return figure

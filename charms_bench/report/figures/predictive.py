@@ -37,9 +37,9 @@ def draw(found: Calibration) -> Figure:
     for k, horizon_s in enumerate(HORIZONS_S):
         at, both = horizon_s * RATE_HZ, zip(parts, predicted, strict=True)
         rank = np.sort([(gaps[:, at] < part.gap[at]).mean() for part, (gaps, _) in both])
-        shares = np.arange(1, rank.size + 1) / rank.size
+        proportions = np.arange(1, rank.size + 1) / rank.size
         style = {"color": SERIES[k], "linestyle": LINE_STYLES[k], "label": f"{horizon_s} s"}
-        ranks.step(rank, shares, **style)
+        ranks.step(rank, proportions, **style)
     ranks.plot([0, 1], [0, 1], color="black", linewidth=0.8)
     ranks.set(xlabel="quantile of the recorded gap", ylabel="proportion")
     ranks.legend(frameon=False, fontsize=9)

@@ -71,8 +71,8 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
         total, *_ = np.histogram2d(x, y, edges)
         survived, *_ = np.histogram2d(x, y, edges, weights=1.0 - np.mean(crashes, axis=0))
         with np.errstate(invalid="ignore"):
-            share = np.ma.masked_invalid(survived / total)
-        axes.pcolormesh(*edges, share.T, cmap=FROM_WHITE, vmin=0, vmax=1)
+            proportion = np.ma.masked_invalid(survived / total)
+        axes.pcolormesh(*edges, proportion.T, cmap=FROM_WHITE, vmin=0, vmax=1)
         of_ego = kinds[ego, title]
         for name in sorted(of_ego, key=list(looks).index):
             chosen = of_ego[name]

@@ -11,7 +11,7 @@ from charms_bench.world.following_bins import FOLLOWING_RANGE_M
 
 
 def draw(found: Survey, learnable: Mapping[str, Learnable]) -> Figure:
-    """Draws speeds, distances while following and, for each sampler, the labels' shares."""
+    """Draws speeds, distances while following and, for each sampler, the proportions of labels."""
     figure, (speeds, distances, *labels) = panels(2 + len(learnable), 3.7, 3.6)
     speed = found.decisions["speed"].to_numpy()
     speeds.hist(speed, bins=np.arange(np.floor(speed.min()), speed.max() + 1), color=SERIES[0])
@@ -26,12 +26,13 @@ def draw(found: Survey, learnable: Mapping[str, Learnable]) -> Figure:
     )
     for axes, (name, each) in zip(labels, learnable.items(), strict=True):
         sets = zip(each.label_shares.items(), (-0.2, 0.2), (GREY, SERIES[0]), strict=True)
-        for (title, shares), offset, colour in sets:
-            places = np.arange(len(shares))
-            axes.barh(places + offset, shares.values(), 0.38, color=colour, label=title)
-            axes.set_yticks(places, [action.replace("_", " ").lower() for action in shares])
+        for (title, proportions), offset, colour in sets:
+            places = np.arange(len(proportions))
+            axes.barh(places + offset, proportions.values(), 0.38, color=colour, label=title)
+            names = [action.replace("_", " ").lower() for action in proportions]
+            axes.set_yticks(places, names)
         axes.invert_yaxis()
-        axes.xaxis.set_major_formatter(lambda share, _: f"{share:z.0%}")
+        axes.xaxis.set_major_formatter(lambda proportion, _: f"{proportion:z.0%}")
         axes.set(title=f"Labels: {name}")
         axes.legend(frameon=False, fontsize=9)
     return figure

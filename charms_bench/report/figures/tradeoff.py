@@ -35,9 +35,9 @@ class Tradeoff(NamedTuple):
 
     across: str
     across_label: str
-    share: str
+    proportion: str
     """A proportion, drawn upwards."""
-    share_label: str
+    proportion_label: str
     named: int
     """The label that points carry: 0 for the agent, 1 for the traffic; the other one colours."""
     part: str = ""
@@ -47,16 +47,16 @@ class Tradeoff(NamedTuple):
 OF_EGOS = Tradeoff(
     across="speed_mean",
     across_label="mean speed, m/s",
-    share="crashed_episodes",
-    share_label="crashed episodes; hollow: at fault",
+    proportion="crashed_episodes",
+    proportion_label="crashed episodes; hollow: at fault",
     named=0,
     part="crashed_at_fault",
 )
 OF_TRAFFICS = Tradeoff(
     across="interaction_density",
     across_label="vehicles within 30 m and a lane of the ego",
-    share="traffic_crashed",
-    share_label="crashed vehicles in traffic",
+    proportion="traffic_crashed",
+    proportion_label="crashed vehicles in traffic",
     named=1,
 )
 
@@ -75,7 +75,7 @@ def draw_tradeoff(
     the list and the legend below it, and always numbers.
     """
     groups: dict[str, list[tuple[str, Number, Number]]] = {}
-    places = table.places(tradeoff.across, tradeoff.share)
+    places = table.places(tradeoff.across, tradeoff.proportion)
     part = table.places(tradeoff.part) or []
     parts: dict[str, list[tuple[float, float]]] = {}
     for row in table.rows if places else ():
@@ -106,10 +106,12 @@ def draw_tradeoff(
     top = axes.get_ylim()[1]
     axes.set_ylim(0, top)
     ticks = TICKS if top > 0.05 else (*TICKS, *FINE_TICKS)
-    axes.set_yticks(sorted(share for share in ticks if share < top))
+    axes.set_yticks(sorted(tick for tick in ticks if tick < top))
     axes.margins(x=0.12)
-    axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
-    axes.set(xlabel=tradeoff.across_label, ylabel=f"{tradeoff.share_label}\n(square-root scale)")
+    axes.yaxis.set_major_formatter(lambda proportion, _: f"{100 * proportion:g} %")
+    axes.set(
+        xlabel=tradeoff.across_label, ylabel=f"{tradeoff.proportion_label}\n(square-root scale)"
+    )
     listed = "\n".join(f"{number}  {name}" for number, name in enumerate(names, 1))
     text = {"title": key_label_of(table.keys[1 - tradeoff.named]), "title_fontsize": 8}
     if is_narrow:

@@ -166,7 +166,7 @@ def _pictures(source: Evaluation, folder: Path) -> Iterator[Picture]:
         figure = draw_matrices([replace(matrix, title="")])
         yield _picture(f"{key}-matrix-{k}", matrix.title, caption, figure)
     tradeoff = tradeoff_of(suite)
-    if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
+    if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.proportion):
         title, caption = "Density against safety", "With 95 % intervals."
         if tradeoff is OF_EGOS:
             title = "Speed against safety"

@@ -216,8 +216,8 @@
     if (!drawn) return;
     const to = (pointer) => {
       const box = drawn.firstElementChild.getBoundingClientRect();
-      const share = ((pointer.clientX - box.left) / box.width - left) / (right - left);
-      seek(share * replay.last);
+      const fraction = ((pointer.clientX - box.left) / box.width - left) / (right - left);
+      seek(fraction * replay.last);
     };
     to(event);
     drawn.setPointerCapture(event.pointerId);

@@ -2,7 +2,7 @@
 "use strict";
 
 const BITS = { crashed: 1, brakes: 2, left: 4, right: 8 };
-const EGO_AT = 0.38; // share of the canvas's width
+const EGO_AT = 0.38; // fraction of the canvas's width
 const SHOULDER_M = 1, DASH_M = 6, DASH_EVERY_M = 18, MARK_EVERY_M = 20;
 const GHOST_ALPHA = 0.4, GHOST_FROM_M = 0.5;
 const SCALE_PX = 24; // under the road
