@@ -45,6 +45,7 @@ class Controls:
             for axis, is_on in (("acceleration", "longitudinal"), ("steering", "lateral"))
             if found[is_on]
         ]
+        self._idle = {*_RANGES} - {axis for axis, _ in self._axes}
         if not self._axes:
             raise InputError("config.action: neither longitudinal nor lateral; expected one")
         self._speeds = tuple(found.get("speed_range") or ())
@@ -78,8 +79,9 @@ class Controls:
         vehicles, at = scenes.vehicles, (rows, ego)
         actions = actions if self._table is None else self._table[actions]
         if self.clips:
-            actions = np.clip(actions, -1, 1)
-        vehicles["acceleration"][at] = vehicles["steering"][at] = 0.0
+            actions = actions.clip(-1, 1)
+        for axis in self._idle:
+            vehicles[axis][at] = 0.0
         for k, (axis, (low, high)) in enumerate(self._axes):
             vehicles[axis][at] = low + (actions[:, k] - -1) * (high - low) / 2
         if self._speeds:

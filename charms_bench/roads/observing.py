@@ -1,7 +1,7 @@
 """What the egos observe: highway-env's observations by a configuration."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import InputError, suggestion
-from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.arrays import Ints
 from charms_bench.roads import attributes_observation as attributes
+from charms_bench.roads import goal_observation as goal
 from charms_bench.roads import kinematics_observation as kinematics
 from charms_bench.roads import occupancy_grid_observation as occupancy_grid
 from charms_bench.roads import time_to_collision_observation as time_to_collision
 from charms_bench.roads.configuration import options
 from charms_bench.roads.continuous_actions import kind_of_ego
-from charms_bench.roads.scenes import COMMANDED, LANDMARK, Scenes
+from charms_bench.roads.scenes import COMMANDED, Scenes
 from charms_bench.world.kinematics_observation import FEATURES
 from charms_bench.world.scene import Observations
 
@@ -40,8 +41,6 @@ _KINEMATICS: dict[str, Any] = {
     "include_obstacles": True,
     "flatten": False,  # without effect, as in highway-env
 }
-GOAL_FEATURES = ("presence", "x", "y", "vx", "vy", "cos_h", "sin_h")
-"""The features of egos and goals that are supported."""
 _GOALS = ("observation", "achieved_goal", "desired_goal")
 _GRID: dict[str, Any] = {
     "features": ["presence", "vx", "vy", "on_road"],
@@ -184,46 +183,23 @@ class OccupancyGrid(Observer):
         return self._out[rows].astype(self._dtype)
 
 
-def achieved_and_desired(
-    scenes: Scenes, rows: Ints, features: Sequence[str], scales: Floats
-) -> tuple[Floats, Floats]:
-    """The features (R, F) of the egos and of their goals, divided by scales (F,).
-
-    [`KinematicsGoalObservation.observe`]
-    """
-    goal = np.argmax(scenes.vehicles["kind"][0] == LANDMARK)
-    achieved, desired = (np.empty((rows.size, len(features))) for _ in range(2))
-    for place, out in ((0, achieved), (goal, desired)):
-        table = scenes.vehicles[rows, place]
-        values = {
-            "presence": np.ones(rows.size),
-            "x": table["x"],
-            "y": table["y"],
-            "vx": table["speed"] * table["direction_x"],
-            "vy": table["speed"] * table["direction_y"],
-            "cos_h": table["direction_x"],
-            "sin_h": table["direction_y"],
-        }
-        for k, name in enumerate(features):
-            out[:, k] = values[name] / scales[k]
-    return achieved, desired
-
-
 class KinematicsGoal(Observer):
     """[`KinematicsGoalObservation`]"""
 
     def __init__(self, asked: Asked) -> None:
         found = asked.options({"scales": None, **_KINEMATICS})
-        self._features = list(found["features"] or _KINEMATICS["features"])
-        _check_features(self._features, GOAL_FEATURES)
+        features = list(found["features"] or _KINEMATICS["features"])
+        _check_features(features, goal.FEATURES)
+        self._features = np.array([goal.FEATURES.index(name) for name in features])
         self._scales = np.array(found["scales"], dtype=np.float64)
-        if self._scales.shape != (len(self._features),):
+        if self._scales.shape != self._features.shape:
             raise InputError("config.observation.scales: expected one number for each feature")
         box = gymnasium.spaces.Box(-np.inf, np.inf, self._scales.shape, np.float64)
         self.space = gymnasium.spaces.Dict(dict.fromkeys(_GOALS, box))
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observed:
-        found = achieved_and_desired(scenes, rows, self._features, self._scales)
+        found = np.empty((2, rows.size, self._features.size))
+        goal.observe(scenes, rows, self._features, self._scales, found)
         return dict(zip(_GOALS, (found[0].copy(), *found), strict=True))
 
 

@@ -12,15 +12,15 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
+from charms_bench.roads import goal_observation
 from charms_bench.roads.layout import WIDTH_M, Edge, RoadObject
-from charms_bench.roads.observing import achieved_and_desired
 from charms_bench.roads.scenes import COMMANDED, CONTINUOUS, LANDMARK, Scenes, place, put_on_lane
 from charms_bench.roads.task import Task
 from charms_bench.world.road import heading_at, position
 from charms_bench.world.road_network import SOLID, StraightLane
 
-FEATURES = ("x", "y", "vx", "vy", "cos_h", "sin_h")
-"""Those of the reward, whatever is observed [`ParkingEnv.PARKING_OBS`]."""
+FEATURES = np.arange(1, len(goal_observation.FEATURES))
+"""Those of the reward, all but `presence`, whatever is observed [`ParkingEnv.PARKING_OBS`]."""
 SCALES = np.array([100.0, 100.0, 5.0, 5.0, 1.0, 1.0])
 """What they are divided by."""
 SPOTS = 14
@@ -52,8 +52,8 @@ class Parking(Task):
         self._collision = float(config["collision_reward"])
         self._success = float(config["success_goal_reward"])
         self._weights = np.array(config["reward_weights"], dtype=np.float64)
-        if self._weights.size != len(FEATURES):
-            raise InputError(f"config.reward_weights: expected {len(FEATURES)} numbers")
+        if self._weights.size != FEATURES.size:
+            raise InputError(f"config.reward_weights: expected {FEATURES.size} numbers")
         self._reached: Bools = np.zeros(0, dtype=np.bool_)
 
     def lanes_of(self, config: Mapping[str, Any]) -> Iterator[Edge]:
@@ -68,7 +68,9 @@ class Parking(Task):
         _start(scenes, rows, self.vehicles)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
-        near = self.goal_rewards(*achieved_and_desired(scenes, rows, FEATURES, SCALES))
+        seen = np.empty((2, rows.size, FEATURES.size))
+        goal_observation.observe(scenes, rows, FEATURES, SCALES, seen)
+        near = self.goal_rewards(*seen)
         self._reached = near > -self._success
         rewards[:, 0] = near + self._collision * scenes.vehicles["crashed"][:, 0]
 
