@@ -131,7 +131,7 @@ def run(folder: Path, name: str, own: Document) -> None:
     suite |= {"scene": {"duration_s": 45}, "roads": [*plan.THREE, plan.INTERSECTION]}
     file = folder / f"{name}.yaml"
     file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
-    charms_bench.run(file, folder / name, workers=1)
+    charms_bench.run(file, folder / name)
 
 
 def trained(folder: Path) -> pl.DataFrame:

@@ -1,14 +1,16 @@
 """IDM+MOBIL that also gives way where ways cross and merge, by the rule of `yielding_human`.
 
-It approaches a stop line with IDM, as it would a stationary leader at the jam distance behind it.
+It approaches a stop line with IDM, as behind a stationary leader that is one jam distance beyond
+the line, so that it stops at the line.
 """
 
 import numpy as np
+from pydantic import ValidationError
 
 from charms_baselines.idm_mobil import IdmMobil
 from charms_baselines.yielding_human import stop_lines
 from charms_bench import DriverModel
-from charms_bench.errors import InputError
+from charms_bench.errors import InputError, problem_in
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import clip, compiled_of_scenes
 from charms_bench.world.idm_mobil import (
@@ -17,7 +19,7 @@ from charms_bench.world.idm_mobil import (
     interaction,
     speed_ratio,
 )
-from charms_bench.world.profile import IdmMobilParameters
+from charms_bench.world.profile import IdmMobilConstants
 from charms_bench.world.scene import Scene, Vehicles
 
 
@@ -29,18 +31,17 @@ class YieldingIdmMobil(DriverModel):
         constants: Constants of IDM and MOBIL in place of the profile's, such as `time_headway_s`.
 
     Raises:
-        InputError: `critical` is out of range, or a constant is unknown or not positive.
+        InputError: `critical` is out of range, or there is no such constant, or it cannot have that
+            value.
     """
 
     def __init__(self, critical: float = 1.0, **constants: float) -> None:
         if not 0 <= critical <= 10:
             raise InputError(f"yielding_idm_mobil: critical is {critical}; expected 0 to 10")
-        for name, value in constants.items():
-            if name not in IdmMobilParameters._fields:
-                known = ", ".join(IdmMobilParameters._fields)
-                raise InputError(f"yielding_idm_mobil: no constant '{name}'; expected {known}")
-            if not 0 <= value <= 100:
-                raise InputError(f"yielding_idm_mobil: {name} is {value}; expected 0 to 100")
+        try:
+            IdmMobilConstants.model_validate(constants)
+        except ValidationError as error:
+            raise InputError(f"yielding_idm_mobil: {problem_in(error)}") from error
         self._critical, self._constants = critical, constants
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
