@@ -48,6 +48,11 @@ class Conflicts(NamedTuple):
     """[F] the other lane and those from which vehicles come to it within `RANGE_M`."""
     to_go: Floats
     """[F] how far it is from their starts to the conflict point, m."""
+    leftmost: Ints
+    """[S] for each road that follows another one (`Network.successors`), the number of the leftmost
+    lane that ends where it starts, or closest to it."""
+    rightmost: Ints
+    """[S] that of the rightmost one."""
 
 
 def conflicts(road: Network, ranks: Ints) -> Conflicts:
@@ -90,7 +95,23 @@ def conflicts(road: Network, ranks: Ints) -> Conflicts:
         first_feed=np.cumsum([0, *map(len, feeds)]),
         feed=np.array([lane for lane, _ in flat], dtype=np.int64),
         to_go=np.array([to_go for _, to_go in flat], dtype=np.float64),
+        **_leading(road),
     )
+
+
+def _leading(road: Network) -> dict[str, Ints]:
+    """`Conflicts.leftmost` and `rightmost`."""
+    leftmost = np.zeros(road.successors.size, dtype=np.int64)
+    rightmost = leftmost.copy()
+    for first in np.unique(road.lanes["first"]).tolist():
+        lanes = range(first, first + int(road.lanes["lanes"][first]))
+        start = int(road.lanes["next_roads"][first])
+        for k, following in enumerate(roads_after(road, first), start):
+            into = range(following, following + int(road.lanes["lanes"][following]))
+            aside = [min(_aside(road, lane, each) for each in into) for lane in lanes]
+            leads = np.nonzero(np.array(aside) <= min(aside) + ENDS_ASIDE_M)[0]
+            leftmost[k], rightmost[k] = leads[0], leads[-1]
+    return {"leftmost": leftmost, "rightmost": rightmost}
 
 
 def _after(road: Network, lane: int) -> list[int]:

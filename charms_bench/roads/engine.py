@@ -27,6 +27,7 @@ from charms_bench.engine.stepping import BeforeMove
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded, with_draws
+from charms_bench.foundation.philox import uniforms
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.agent_stepping import (
     BY_CONFIGURATION,
@@ -189,7 +190,7 @@ class RoadEngine(Engine):
         if self._script is not None:
             self._script.place_on(episodes.scenes, rows, seeds)
             tidy_all(episodes.scenes, rows)
-        self._seat_ego(rows)
+        self._seat_ego(rows, np.full(rows.size, self.ego_index))
         self._seed(rows, seeds)
         if self._inflow:
             self._inflow.entered[rows] = 0
@@ -201,6 +202,8 @@ class RoadEngine(Engine):
             entry = scene.entry[rows]
             set_types(episodes.scenes, self._settings, self.egos, rows, seeds, entry, everyone)
         episodes.task.navigate(episodes.scenes, others)
+        if (slots := self._settings.ego_slots) > 1:
+            self._seat_ego(rows, self._drawn(rows, seeds, slots))
         scene.ego[rows], scene.active[rows], self.drivers[rows] = 0, True, agents
         scene.temperament[rows] = 0.5
         self.goals[rows] = False
@@ -218,17 +221,28 @@ class RoadEngine(Engine):
         self._fault.start(rows)
         self._show(rows)
 
-    def _seat_ego(self, rows: Ints) -> None:
-        """Has the ego `ego_index` and the first one change places; all moves stay the same."""
-        if self.ego_index == 0:
+    def _seat_ego(self, rows: Ints, places: Ints) -> None:
+        """Has the vehicle at a place (R,) and the ego change places; all moves stay the same."""
+        moved = places > 0
+        if not moved.any():
             return
-        scenes, places = self.episodes.scenes, np.array([0, self.ego_index])
-        vehicles, order = scenes.vehicles, scenes.order["place"][rows]
-        vehicles[np.ix_(rows, places)] = vehicles[np.ix_(rows, places[::-1])]
-        swapped = np.where(order == 0, self.ego_index, np.where(order == self.ego_index, 0, order))
+        rows, places = rows[moved], places[moved]
+        scenes, entry = self.episodes.scenes, self._seen.entry
+        order = scenes.order["place"][rows]
+        for table in (scenes.vehicles, entry):  # what vehicles draw follows them
+            ego = table[rows, 0].copy()
+            table[rows, 0], table[rows, places] = table[rows, places], ego
+        other = places[:, None]
+        swapped = np.where(order == 0, other, np.where(order == other, 0, order))
         scenes.order["place"][rows] = swapped
-        at = np.ix_(rows, places)  # what vehicles draw follows them
-        self._seen.entry[at] = self._seen.entry[np.ix_(rows, places[::-1])]
+
+    def _drawn(self, rows: Ints, seeds: NDArray[np.uint64], slots: int) -> Ints:
+        """A place (R,) among the first `slots` that has a vehicle, by the seeds."""
+        is_there = self.episodes.scenes.vehicles["kind"][rows, :slots] > OBSTACLE
+        zeros = np.zeros(rows.size, dtype=np.uint64)
+        drawn = uniforms(seeds.astype(np.uint64), zeros, zeros, 1)[:, 0]
+        number = (drawn * is_there.sum(axis=1)).astype(np.int64)
+        return np.asarray((is_there.cumsum(axis=1) == number[:, None] + 1).argmax(axis=1))
 
     def _seed(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         """Notes the seeds of the scenes `rows` (R,), by which vehicles will flow in."""

@@ -50,12 +50,14 @@ class RoadJunctions:
     configured: Mapping[int, ConfiguredEgos]
     """The egos that observe by a configuration of highway-env, by the index of their agent."""
 
-    def describe(self, vehicles: Vehicles, observations: Observations, occlusion: bool) -> None:
+    def describe(
+        self, vehicles: Vehicles, observations: Observations, occlusion: bool, exit_lanes: bool
+    ) -> None:
         """Completes the observations `interaction` of M vehicles that have just been shown."""
         rows, places = vehicles[0] // self.views, vehicles[1]
         episodes = self.episodes
         known = episodes.scenes, episodes.conflicts
-        _describe(*known, rows, places, occlusion, observations)
+        _describe(*known, rows, places, occlusion, exit_lanes, observations)
 
     def observe(self, vehicles: Vehicles) -> NDArray[Any]:
         """The observations `highway_env` of M egos of one agent."""
@@ -83,6 +85,7 @@ def _describe(
     rows: Ints,
     places: Ints,
     occlusion: bool,
+    exit_lanes: bool,
     out: Observations,
 ) -> None:
     count, known = scenes.vehicles.shape[1], borrowed(table)
@@ -91,7 +94,7 @@ def _describe(
     )
     for m in range(rows.size):
         b, i = rows[m], places[m]
-        _write_way(scenes, b, i, out[m, EGO], out[m, WAY])
+        _write_way(scenes, known, exit_lanes, b, i, out[m, EGO], out[m, WAY])
         _meet(scenes, known, b, i, meeting, out[m, WAY])
         for j in range(count if occlusion else 0):
             meeting.found[j] = meeting.found[j] and not _is_hidden(scenes, b, i, j)
@@ -99,7 +102,15 @@ def _describe(
 
 
 @compiled
-def _write_way(scenes: Scenes, b: int, i: int, own: Observations, way: Observations) -> None:
+def _write_way(
+    scenes: Scenes,
+    table: Conflicts,
+    exit_lanes: bool,
+    b: int,
+    i: int,
+    own: Observations,
+    way: Observations,
+) -> None:
     """Writes what the road and the route say of the way of vehicle i."""
     road, vehicle = scenes.road, scenes.vehicles[b, i]
     lane = vehicle.lane
@@ -131,12 +142,33 @@ def _write_way(scenes: Scenes, b: int, i: int, own: Observations, way: Observati
         if each > step:
             to_go += road.lanes[first].length
         wanted = vehicle.route_numbers[each]
+        if exit_lanes and wanted < 0 and each + 1 < vehicle.route_end:
+            following = vehicle.route_roads[each + 1]
+            wanted = _exit_lane(road, table, first, following, row.lanes, number)
         if asked == 0 and wanted >= 0 and wanted != number:
             asked, where = wanted - number, to_go
     if asked != 0:
         way[2] = clip(asked / 4.0, -1.0, 1.0)
         way[3] = clip(where / RANGE_M, 0.0, 1.0)
     way[4] = clip(to_go / GOAL_RANGE_M, 0.0, 1.0)
+
+
+@compiled
+def _exit_lane(
+    road: Network, table: Conflicts, first: int, following: int, lanes: int, number: int
+) -> int:
+    """The number of the lane that leads from one road of a route to the next one.
+
+    It is the nearest such lane to lane `number` of a road that has as many `lanes`; -1 if the road
+    has another number of them, or nothing leads there.
+    """
+    row = road.lanes[first]
+    if row.lanes != lanes:
+        return -1
+    for k in range(row.next_roads, row.next_roads + row.next_count):
+        if road.successors[k] == following:
+            return int(min(max(number, table.leftmost[k]), table.rightmost[k]))
+    return -1
 
 
 @compiled

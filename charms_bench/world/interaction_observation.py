@@ -68,6 +68,9 @@ class Interaction(FrozenModel):
     """K, the rows of vehicles whose ways meet the ego's."""
     occlusion: bool = False
     """Whether these rows lack vehicles whose centre is hidden from the ego's behind another one."""
+    exit_lanes: Annotated[bool, Field(exclude_if=lambda value: not value)] = False
+    """Whether a route also asks for the lane that leads to its next road, where vehicles can get
+    there from any lane, as to the exit of a roundabout; not said in files of networks without."""
     distance_noise_m: NonNegative = 0.0
     speed_noise_mps: NonNegative = 0.0
     """Standard deviations of the errors with which distances to other vehicles, and of them to
@@ -88,7 +91,8 @@ class Interaction(FrozenModel):
         observations = np.zeros((vehicles[0].size, *self.shape), dtype=np.float32)
         _fill(scene, vehicles[0], vehicles[1], observations)
         if scene.junctions is not None:
-            scene.junctions.describe(vehicles, observations, self.occlusion)
+            how = self.occlusion, self.exit_lanes
+            scene.junctions.describe(vehicles, observations, *how)
         if self.distance_noise_m or self.speed_noise_mps:
             self._blur(scene.x[vehicles], scene.y[vehicles], observations)
         return observations

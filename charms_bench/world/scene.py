@@ -313,7 +313,9 @@ class SceneSettings(FrozenModel):
 class Junctions(Protocol):
     """What is along and across the ways of vehicles, where a road has junctions."""
 
-    def describe(self, vehicles: Vehicles, observations: Observations, occlusion: bool) -> None:
+    def describe(
+        self, vehicles: Vehicles, observations: Observations, occlusion: bool, exit_lanes: bool
+    ) -> None:
         """Completes the observations `interaction` of M vehicles; see `interaction_observation`."""
 
     def observe(self, vehicles: Vehicles) -> NDArray[Any]:

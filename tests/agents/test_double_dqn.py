@@ -158,7 +158,8 @@ def test_a_standardised_networks_values_are_those_of_its_exported_network() -> N
     with torch.no_grad():
         exported = agent.network(torch.from_numpy(observations).flatten(1)).numpy()
         plain = agent.online(torch.from_numpy(observations).flatten(1)).numpy()
-    np.testing.assert_allclose(exported, agent.values(observations), rtol=1e-4, atol=1e-5)
+    values = agent.preferences(observations, agent._given)
+    np.testing.assert_allclose(exported, values, rtol=1e-4, atol=1e-5)
     assert not np.allclose(plain, exported)
 
 

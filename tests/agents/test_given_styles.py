@@ -10,6 +10,7 @@ import torch
 from charms_agents.training import pipeline
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
 from charms_agents.training.network_file import export
+from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.rewards import Weights
 from charms_agents.training.suite_file import load_training
 from pydantic import ValidationError
@@ -166,3 +167,47 @@ def test_styles_that_cannot_be_trained_are_named(
     (tmp_path / "styles.yaml").write_text(SUITE.replace(before, after))
     with pytest.raises(SuiteError, match=message):
         load_training(tmp_path / "styles.yaml")
+
+
+def test_a_stage_can_drive_in_its_own_traffic_and_continues_with_the_same_bits(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "styles.yaml"
+    file.write_text(SUITE.replace("traffic: idm_mobil", "traffic: drivers"))
+    suite = load_training(file)
+    stage = suite.stages["drivers"]
+    assert suite.needs == {"drivers": ()}
+    whole, first, second = (Reinforcement(suite, stage, {}, None) for _ in range(3))
+    for _ in range(5):
+        first._agent.step()
+    second.load_arrays(first.arrays())
+    for learner in (whole, second):
+        learner.learn(lambda: None)
+    np.testing.assert_array_equal(whole.observations, second.observations)
+    for ours, theirs in zip(whole.network.parameters(), second.network.parameters(), strict=True):
+        np.testing.assert_array_equal(ours.detach().numpy(), theirs.detach().numpy())
+
+
+def test_own_traffic_does_what_the_network_does_in_the_style_that_each_vehicle_has_drawn(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "styles.yaml").write_text(SUITE.replace("traffic: idm_mobil", "traffic: drivers"))
+    suite = load_training(tmp_path / "styles.yaml")
+    learner = Reinforcement(suite, suite.stages["drivers"], {}, None)
+    learner.learn(lambda: None)
+    own, count = learner.own_traffic, 200
+    seen = np.random.default_rng(2).uniform(-1, 1, (count, 7, 5)).astype(np.float32)
+    noise = np.random.default_rng(3).random((count, own.noise_draws))
+    actions, styles = own.decide(seen, np.zeros((count, 1)), noise)
+    again, kept = own.decide(seen, styles, 1 - noise)
+    np.testing.assert_array_equal(kept, styles)
+    np.testing.assert_array_equal(again, actions)
+    file = tmp_path / "network.onnx"
+    of_styles = suite.styles_of(suite.stages["drivers"])
+    export(learner.network, file, {}, seen, styles=of_styles)
+    for k, name in enumerate(of_styles):
+        some = styles[:, 0] == k + 1
+        assert 40 < some.sum() < 95  # of 200 vehicles, a third
+        np.testing.assert_array_equal(
+            OnnxPolicy(file, style=name).decide(seen[some]), actions[some]
+        )

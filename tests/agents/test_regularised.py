@@ -9,6 +9,7 @@ from charms_agents.training.double_dqn import DoubleDQN, regularised
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.hyperparameters import Hyperparameters
 from charms_agents.training.network import network_of
+from charms_agents.training.own_traffic import OwnTraffic
 from charms_agents.training.rewards import StyleReward, Weights
 from handmade_scene import Idle
 from hypothesis import given, settings
@@ -18,6 +19,8 @@ from scipy.special import logsumexp, rel_entr, softmax
 
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.actions import DEFAULT_ACTIONS
+from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import SceneSettings
 
 Array = np.ndarray
@@ -83,7 +86,7 @@ def test_the_policy_maximises_the_value_less_lambda_times_the_divergence() -> No
 
     best = minimize(lost, np.zeros(5), method="BFGS", options={"gtol": 1e-9})
     agent = agent_of(q, log_prior, weight)
-    logits = agent.logits(agent.observed[:1])[0]
+    logits = agent.preferences(agent.observed[:1], agent._given)[0]
     np.testing.assert_allclose(softmax(logits), softmax(best.x), atol=1e-4)
     found = regularised_values(q[None], q[None], log_prior[None], weight)
     assert found[0] == pytest.approx(-best.fun, abs=1e-6)
@@ -98,21 +101,29 @@ def test_the_policy_maximises_the_value_less_lambda_times_the_divergence() -> No
 )
 def test_lambda_leads_from_the_largest_value_to_the_prior(weight: float, expected: Array) -> None:
     agent = agent_of(np.array([1.0, 0.0, -2.0, 1.5, 0.3]), log_priors(1)[0], weight)
-    np.testing.assert_allclose(softmax(agent.logits(agent.observed[:1])[0]), expected, atol=1e-4)
+    logits = agent.preferences(agent.observed[:1], agent._given)[0]
+    np.testing.assert_allclose(softmax(logits), expected, atol=1e-4)
 
 
 def test_actions_are_drawn_with_the_probabilities_of_the_policy() -> None:
     agent = agent_of(np.array([0.4, 0.0, -0.2, 0.1, 0.0]), log_priors(1, seed=4)[0], weight=0.5)
-    drawn = np.bincount(np.concatenate([agent.actions() for _ in range(20)]), minlength=5)
-    expected = 20 * SCENES * softmax(np.array([0.8, 0.0, -0.4, 0.2, 0.0]) + log_priors(1, 4)[0])
-    assert ((drawn - expected) ** 2 / expected).sum() < 18.47  # chi-squared, 4 degrees, p = 0.001
+    own = OwnTraffic(neighbours, DEFAULT_ACTIONS, np.zeros((1, 0), np.float32))
+    own.learner, count = agent, 20 * SCENES
+    seen, noise = np.zeros((count, 7, 5), np.float32), np.random.default_rng(5).random((count, 6))
+    in_traffic, _ = own.decide(seen, np.zeros((count, 1)), noise)
+    expected = count * softmax(np.array([0.8, 0.0, -0.4, 0.2, 0.0]) + log_priors(1, 4)[0])
+    for actions in (np.concatenate([agent.actions() for _ in range(20)]), in_traffic):
+        drawn = np.bincount(actions, minlength=5)
+        # Chi-squared with 4 degrees of freedom, p = 0.001.
+        assert ((drawn - expected) ** 2 / expected).sum() < 18.47
 
 
 def test_the_exported_network_gives_the_logits_of_the_policy() -> None:
     agent = agent_of(np.array([0.4, 0.0, -0.2, 0.1, 0.0]), log_priors(1)[0], weight=0.25)
     with torch.no_grad():
         exported = agent.network(torch.from_numpy(agent.observed[:9]).flatten(1)).numpy()
-    np.testing.assert_allclose(exported, agent.logits(agent.observed[:9]), rtol=1e-5, atol=1e-5)
+    logits = agent.preferences(agent.observed[:9], agent._given)
+    np.testing.assert_allclose(exported, logits, rtol=1e-5, atol=1e-5)
 
 
 def test_a_target_is_the_reward_and_the_regularised_value_after_it() -> None:

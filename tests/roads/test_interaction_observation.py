@@ -234,3 +234,37 @@ def test_the_text_in_a_network_describes_the_observation() -> None:
     for observation in (Interaction(), Interaction(conflicts=3)):
         assert observation_described(described(observation)) == observation
     assert math.prod(Interaction(conflicts=3).shape) == 11 * 8
+
+
+def test_a_route_asks_for_the_lane_that_leads_to_an_exit_of_the_ring() -> None:
+    # The exits begin beside the outer one of the two lanes, at the end of a part of the ring.
+    simulation = driven("roundabout-v1", 0, "idm_mobil")
+    scenes, asked = simulation.engine.episodes.scenes, []
+    names = {lane: name for name, lane in simulation.engine.episodes.task.lanes.items()}
+    for b in range(20):
+        for i in range(1, 4):  # they start on the ring
+            vehicle = scenes.vehicles[b, i]
+            plain, with_exits = (
+                Interaction(exit_lanes=option)(
+                    *simulation.engine.seen_by((np.array([b]), np.array([i])))
+                )
+                for option in (False, True)
+            )
+            lanes = vehicle["route_roads"][: vehicle["route_end"]].tolist()
+            nodes = [names[lane][:2] for lane in lanes]
+            last = next(k for k, (_, end) in enumerate(nodes) if len(end) == 3) - 1
+            own = local_coordinates(scenes.road, int(vehicle["lane"]), *vehicle[["x", "y"]])[0]
+            to_go = (
+                sum(float(scenes.road.lanes["length"][lane]) for lane in lanes[: last + 1]) - own
+            )
+            number, changed = names[int(vehicle["lane"])][2], with_exits != plain
+            if number == 1 or last == 0:
+                assert not changed.any()
+                continue
+            asked.append(to_go)
+            np.testing.assert_allclose(
+                with_exits[0, 1, 2:4], (0.25, min(to_go / 100, 1)), rtol=1e-6
+            )
+            changed[0, 1, 2:4] = False
+            assert not changed.any()
+    assert len(asked) > 20

@@ -485,3 +485,23 @@ def test_a_rollout_on_a_road_is_what_then_happens(road: str, place: int) -> None
                 )
             crashed |= alone.engine.state.crashed[vehicles]
             assert (found.failed[:, k, decision] >= crashed).all()
+
+
+def test_the_ego_can_be_any_of_the_first_vehicles_and_the_scene_stays_the_same() -> None:
+    columns = ["x", "y", "speed", "lane"]
+    found = {}
+    for slots in (1, 4):
+        on = on_road(SceneSettings(profile="roads"), NamedRoad(name="roundabout-v1"))
+        on, agents = on.model_copy(update={"ego_slots": slots}), {"a": make_agent("idm_mobil")}
+        made = Simulation(on, 200, "a", OneAgent("a"), agents, RoadEngine)
+        made.reset(np.arange(200, dtype=np.uint64))
+        found[slots] = made.engine.episodes.scenes.vehicles[columns]
+    first, drawn = found[1], found[4]
+    np.testing.assert_array_equal(np.sort(first, axis=1), np.sort(drawn, axis=1))
+    places = (first == drawn[:, :1]).argmax(axis=1)
+    # 50 of 200 are expected at each of four places, with a standard deviation of 6.
+    assert (np.abs(np.bincount(places, minlength=5)[:4] - 50) < 25).all()
+    assert places.max() == 3
+    rest = np.arange(1, 5)
+    moved = np.where(rest == places[:, None], 0, rest)
+    np.testing.assert_array_equal(drawn[:, 1:], np.take_along_axis(first, moved, axis=1))

@@ -111,10 +111,10 @@ class DoubleDQN:
         """
         actions = self.rng.integers(self._actions, size=self.h.scenes)
         if self.prior is not None:
-            logits = self.logits(self.observed)
+            logits = self.preferences(self.observed, self._given)
             chosen = (logits + self.rng.gumbel(size=logits.shape)).argmax(axis=1)
         elif self.steps >= self.h.learning_starts:
-            chosen = self.values(self.observed).argmax(axis=1)
+            chosen = self.preferences(self.observed, self._given).argmax(axis=1)
         else:
             return actions
         return np.where(self.rng.random(self.h.scenes) < self.exploration, actions, chosen)
@@ -138,8 +138,8 @@ class DoubleDQN:
         rows = self.rng.integers(size, size=shape)
         envs = self.rng.integers(self.h.scenes, size=shape)
         returns, discounts, last = self.returns(rows, envs)
-        observations = self._seen(self.replay["observations"][rows, envs], envs)
-        following = self._seen(self.replay["following"][last, envs], envs)
+        observations = self._seen(self.replay["observations"][rows, envs], self._given[envs])
+        following = self._seen(self.replay["following"][last, envs], self._given[envs])
         actions = torch.from_numpy(self.replay["actions"][rows, envs])[..., None]
         rewards, factors = torch.from_numpy(returns), torch.from_numpy(discounts)
         parameters = list(self.online.parameters())
@@ -210,19 +210,14 @@ class DoubleDQN:
         """The proportion of all steps that remains."""
         return 1 - self.steps / self.total
 
-    def values(self, observations: Observations) -> NDArray[np.float32]:
-        """The online network's values (B, A) of observations in all environments."""
-        with torch.no_grad():
-            values: NDArray[np.float32] = self.online(self._seen(observations)).numpy()
-        return values
-
-    def logits(self, observations: Observations) -> NDArray[np.float32]:
-        """The logits (B, A) of the policy that has a prior."""
-        assert self.prior is not None
-        seen = self._seen(observations)
-        with torch.no_grad():
-            logits = self.online(seen) / self.h.prior_weight + self.prior(seen)
-        return np.asarray(logits.numpy())
+    @torch.no_grad()
+    def preferences(self, observations: Observations, given: Tensor) -> NDArray[np.float32]:
+        """The values (B, A) of the actions, or with a prior, the logits of the policy."""
+        seen = self._seen(observations, given)
+        found = self.online(seen)
+        if self.prior is not None:
+            found = found / self.h.prior_weight + self.prior(seen)
+        return np.asarray(found.numpy())
 
     @property
     def network(self) -> Sequential:
@@ -235,13 +230,10 @@ class DoubleDQN:
             network = side_by_side(network, 1 / self.h.prior_weight, self.prior)
         return folded(network, self._given.shape[1]) if self.h.standardised else network
 
-    def _seen(
-        self, observations: Observations, envs: NDArray[np.int64] | slice = slice(None)
-    ) -> torch.Tensor:
-        """What the networks take of observations (..., rows, columns) in environments (...)."""
+    def _seen(self, observations: Observations, given: Tensor) -> Tensor:
+        """What the networks take of observations (..., rows, columns) and `given` (..., G)."""
         flat = torch.from_numpy(observations).flatten(-2)
         seen = standardise(flat) if self.h.standardised else flat
-        given = self._given[envs]
         return torch.cat([seen, given], dim=-1) if given.shape[-1] else seen
 
     @property

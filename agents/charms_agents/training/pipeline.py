@@ -119,7 +119,8 @@ def _make_job(
         return OnnxPolicy(folder / driver) if is_network(driver) else make_agent(driver)
 
     def drivers(stage: Stage | SimulatedDrivers | None) -> dict[str, Agent]:
-        return {each: agent(each) for each in suite.drivers_of(stage)} if stage else {}
+        others = suite.drivers_of(stage) if stage else ()
+        return {each: agent(each) for each in others if each != name}
 
     if (stage := suite.stages.get(name)) is not None:
         prior = network(stage.prior) if stage.prior else None

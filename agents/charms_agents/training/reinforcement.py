@@ -14,6 +14,7 @@ from charms_agents.training.double_dqn import DoubleDQN
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.network import Arrays
 from charms_agents.training.network_file import read_network
+from charms_agents.training.own_traffic import OwnTraffic
 from charms_agents.training.settings import EPISODES_OF_A_SEED, Stage, TrainingSuite
 from charms_agents.training.standardisation import unfolded
 from charms_bench.envs.vector_env import HighwayVectorEnv
@@ -51,12 +52,15 @@ class Reinforcement:
         self.curve: list[Point] = []
         """The points so far, one every `curve_steps`."""
         self._ended: list[dict[str, Any]] = []
-        h, self._episodes = suite.hyperparameters, Episodes(environments_of(suite, stage, drivers))
+        h, styles = suite.hyperparameters, [*suite.styles_of(stage).values()] or [()]
+        given = np.array(styles, np.float32)
+        self.own_traffic = OwnTraffic(suite.observed, suite.actions_in(stage.scene), given)
+        drivers = {**drivers, suite.name_of(stage): self.own_traffic}
+        self._episodes = Episodes(environments_of(suite, stage, drivers))
         logits = None if prior is None else unfolded(read_network(prior))
-        styles = np.array([*suite.styles_of(stage).values()], np.float32)
-        given = np.tile(styles, (h.scenes // max(len(styles), 1), 1)) if styles.size else None
+        given = np.tile(given, (h.scenes // len(given), 1))
         how = suite.seed, stage.steps, logits, len(suite.actions), given
-        self._agent = DoubleDQN(self._episodes, h, *how)
+        self.own_traffic.learner = self._agent = DoubleDQN(self._episodes, h, *how)
 
     @property
     def done(self) -> int:

@@ -49,6 +49,8 @@ class Condition(FrozenModel):
     density: Positive | None = None
     duration_s: Positive | None = None
     profile: ProfileLike | None = None
+    ego_slots: Annotated[int, Field(ge=1)] | None = None
+    """How many of the first vehicles can be the ego; all of them, if there are fewer on a road."""
     traffic: TrafficSpec | None = None
     """A scenario's `points` are `random`, because trainings have other seeds than evaluations."""
     roads: Annotated[tuple[RoadEntry, ...], Field(strict=False, max_length=100)] | None = None
@@ -75,12 +77,15 @@ class Condition(FrozenModel):
             InputError: The road does not exist, or its configuration is wrong.
         """
         names = {"lanes", "density", "duration_s", "profile"}
+        names |= set() if self.roads else {"ego_slots"}
         changes = self.model_dump(include=names, exclude_none=True)
         found = SceneSettings.model_validate({**scene.model_dump(), **changes})
         for road in (self.roads or ())[:1]:
             from charms_bench.roads.settings import on_road  # slow to import
 
-            return on_road(found, road.road, road.duration_s, traffic.scenario)
+            found = on_road(found, road.road, road.duration_s, traffic.scenario)
+            slots = min(self.ego_slots or 1, 1 + found.traffic_vehicles)
+            return found.model_copy(update={"ego_slots": slots})
         return found.of_scenario(traffic.scenario)
 
 
@@ -111,8 +116,9 @@ class Stage(FrozenModel):
     drives."""
     scene: RecordedScene = SceneSettings()
     traffic: TrafficSpec
-    """The traffic. A name means a stage of this file, or else an installed agent or traffic; a name
-    that ends in `.onnx` is the path of a network, from the suite file's folder."""
+    """The traffic. A name means a stage of this file, which can be this one, or else an installed
+    agent or traffic; a name that ends in `.onnx` is the path of a network, from the suite file's
+    folder."""
     conditions: Names = ()
     """Names in the suite's `conditions`, among which environments are divided equally."""
     prior: Name | None = None
@@ -279,6 +285,10 @@ class TrainingSuite(FrozenModel):
             for name, style in stage.styles.items()
         }
 
+    def name_of(self, stage: Stage) -> str:
+        """The name of a stage."""
+        return next(name for name, each in self.stages.items() if each is stage)
+
     @property
     def human_stages(self) -> dict[str, HumanStage]:
         """The stages that learn from human driving."""
@@ -323,7 +333,8 @@ class TrainingSuite(FrozenModel):
         """All stages, with the stages whose networks each of them needs."""
         needed = {}
         for name, stage in self.stages.items():
-            needed[name] = tuple(each for each in self.drivers_of(stage) if each in self.names)
+            others = self.names - {name}  # what it trains itself can be in its traffic
+            needed[name] = tuple(each for each in self.drivers_of(stage) if each in others)
             if stage.prior is not None:
                 needed[name] += (stage.prior,)
         for name, human in self.human_stages.items():
