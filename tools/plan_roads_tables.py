@@ -40,13 +40,15 @@ ON_STRAIGHT = {
     "speed_mean": ("speed, m/s", ".2f"),
 }
 """Header and format of each metric of the straight road."""
-ROUGH = pl.col("conflicts", "time_s", "wrecks", "imposed_mps2").round_sig_figs(3)
+ROUGH = pl.col("conflicts", "time_s", "wrecks", "^imposed.*|lag_gap_m|pet_s$").round_sig_figs(3)
+OTHERS, SELF = "prosocial|altruistic", "competitive|egoistic"
 STATEMENTS = [  # the styles of the first kind have less of it
     ("efficient styles reach the goal sooner than safe ones, s", "time_s", "^efficient", "^safe"),
     ("safe styles cause fewer conflicts per 1,000 km", "conflicts", "^safe", "^efficient"),
-    ("prosocial and altruistic styles impose less braking, m/s²", "imposed_mps2",
-     "prosocial|altruistic", "competitive|egoistic"),
-]  # fmt: skip
+    ("prosocial and altruistic styles impose less braking, m/s²", "imposed_mps2", OTHERS, SELF),
+    ("competitive and egoistic styles leave smaller lag gaps, m", "lag_gap_m", SELF, OTHERS),
+    ("competitive and egoistic styles have shorter PET, s", "pet_s", SELF, OTHERS),
+]
 
 
 def outcomes(values: pl.DataFrame, key: tuple[str, ...], across: str) -> str:
@@ -129,10 +131,8 @@ def limits(values: pl.DataFrame) -> str:
             mean = mean_of(each, 0.0, 1.0 if form.endswith("%") else np.inf)
             ends = f" [{mean.low:{form}}, {mean.high:{form}}]" if mean.low is not None else ""
             record = {"road": road, "traffic": traffic, "quantity": header}
-            record |= {
-                "limit": f"{bound:{form}}",
-                "mean of the seeds": f"{mean.value:{form}}{ends}",
-            }
+            record |= {"limit": f"{bound:{form}}"}
+            record |= {"mean of the seeds": f"{mean.value:{form}}{ends}"}
             record |= {"worst seed": f"{worst(each):{form}}"}
             record |= {"mean holds": "yes" if sign * each.mean() >= sign * bound else "no"}
             records.append(record)
@@ -178,8 +178,7 @@ def tables(networks: Path, runs: Path) -> None:
     if with_limits := [found[test] for test in ("people", "own") if test in found]:
         keep("plan-roads-limits", limits(pl.concat(with_limits)))
     if plan.OF_STYLES in found:
-        of_seeds = found[plan.OF_STYLES].drop_nulls("seed")
-        keep("plan-roads-statements", statements(of_seeds))
+        keep("plan-roads-statements", statements(found[plan.OF_STYLES].drop_nulls("seed")))
     if (runs / plan.OF_STYLES).is_dir():
         by_seed = told(open_finished(runs / plan.OF_STYLES)).with_columns(pl.col("told").round(4))
         by_seed.write_csv(RESULTS / "plan-roads-told.csv")

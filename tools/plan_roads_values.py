@@ -41,6 +41,8 @@ def values_of(runs: Path, test: str) -> pl.DataFrame:
             "time_s": time,
             "wrecks": pl.first("traffic_crashed") > 0,
             "imposed_mps2": pl.first("entry_braking_mps2"),
+            "lag_gap_m": pl.first("entry_lag_gap_m"),
+            "pet_s": pl.first("entry_pet_s"),
         }
         values = cell.episodes.group_by("episode").agg(**found).select(pl.col(*found).mean())
         drivers = pl.concat(part for (part,) in cell.drivers).filter("is_ego")

@@ -2,17 +2,15 @@
 
     python tools/roads_ablations.py FOLDER
 
-Trains each variant of `suites/train-roads.yaml`, and DQN and PPO of Stable-Baselines3, with five
-seeds and 300,000 steps, and drives them. What is finished in FOLDER is not done again.
-`write_results.py roads-ablations FOLDER` writes the table.
+Trains each variant of `suites/train-roads-self-play.yaml` with five seeds, gives DQN and PPO of
+Stable-Baselines3 as many trials as IDM+MOBIL, trains the best with the same seeds, and drives all
+of them. What is finished in FOLDER is not done again. `write_results.py roads-ablations FOLDER`
+writes the table.
 """
 
-import copy
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import plan_roads as plan
 import polars as pl
@@ -20,59 +18,20 @@ import yaml
 from plan_roads import SEED
 from plan_roads_tables import LIMITS, ROUGH, percentage
 from plan_roads_values import kept, mean_of, values_of
-from result_pages import ROOT, keep
+from result_pages import keep
+from roads_variants import COMPLETE, ONE_STYLE, STEPS, STEPS_OF_LEVEL_1, VARIANTS, Document, written
 
 import charms_bench
 from charms_bench.report.markdown import markdown
 from charms_bench.report.table import Table
 
-SEEDS = range(4050, 4055)
-STEPS_OF_LEVEL_1, STEPS = 60_000, 300_000
-"""The second are those of all stages together."""
-Document = dict[str, Any]
-COMPLETE, ONE_STYLE, PRIOR = "CHARMS", "one style", "the prior alone, Level-0"
+SEEDS, TRIAL_SEED, TRIALS, STEPS_OF_TRIALS = range(4070, 4075), 4010, 26, 240_640
+PRIOR = "the prior alone, Level-0"
 TUNED = "IDM+MOBIL that gives way, tuned"
 """See `roads_tuned`."""
 BASELINES = "DQN", "PPO"
 """What learns the style of `ONE_STYLE` in its place."""
 QUANTITIES = {"reached": "goal reached", "at_fault": "at fault or undecided"}
-
-
-def among_level_0(suite: Document) -> None:
-    del suite["stages"]["level_1"]
-    suite["stages"]["roads"] |= {"traffic": "yielding_human", "steps": STEPS}
-
-
-def without_svo(suite: Document) -> None:
-    styles = suite["stages"]["roads"]["styles"]
-    for name in [name for name in styles if not name.endswith("_egoistic")]:
-        del styles[name]
-
-
-def without_prior(suite: Document) -> None:
-    for stage in suite["stages"].values():
-        del stage["prior"]
-    del suite["human"]
-
-
-def without_brake(suite: Document) -> None:
-    suite["actions"].pop()
-
-
-def one_style(suite: Document) -> None:
-    styles = suite["stages"]["roads"]["styles"]
-    for name in [*styles][1:]:
-        del styles[name]
-
-
-VARIANTS: dict[str, Callable[[Document], None]] = {
-    COMPLETE: lambda suite: None,
-    "among Level-0 drivers alone": among_level_0,
-    "without SVO": without_svo,
-    ONE_STYLE: one_style,
-    "without the prior": without_prior,
-    "without BRAKE": without_brake,
-}
 
 
 def networks_of(folder: Path, name: str, seed: int) -> Path:
@@ -84,21 +43,33 @@ def train(folder: Path) -> None:
     """Trains each variant and each other algorithm with each seed."""
     from roads_baselines import train_baseline  # needs the extra `train`
 
-    text = (ROOT / "suites" / "train-roads.yaml").read_text(encoding="utf-8")
+    best = {algorithm: chosen_trial(folder, algorithm) for algorithm in BASELINES}
     for seed in SEEDS:
-        for name, change in VARIANTS.items():
-            suite = copy.deepcopy(yaml.safe_load(text)) | {"seed": seed}
-            stages = suite["stages"]
-            stages["level_1"]["steps"] = STEPS_OF_LEVEL_1
-            stages["roads"]["steps"] = STEPS - STEPS_OF_LEVEL_1
-            change(suite)
-            file = folder / f"{name}.yaml"
-            file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
+        for name in VARIANTS:
+            file = written(folder, name, seed)
             charms_bench.train(file, folder / f"{name}{SEED}{seed}", workers=1)
-            if name == ONE_STYLE:
-                for algorithm in BASELINES:
-                    networks = [networks_of(folder, each, seed) for each in (name, algorithm)]
-                    train_baseline(file, algorithm, networks[0], networks[1] / "roads")
+            for algorithm in BASELINES if name == ONE_STYLE else ():
+                among, own = (networks_of(folder, each, seed) for each in (name, algorithm))
+                steps = STEPS - STEPS_OF_LEVEL_1
+                train_baseline(file, algorithm, best[algorithm], steps, among, own / "roads")
+
+
+def chosen_trial(folder: Path, algorithm: str) -> int:
+    """The trial with the largest mean of goal reached minus at fault or undecided."""
+    from roads_baselines import train_baseline  # needs the extra `train`
+
+    file, egos = written(folder, ONE_STYLE, TRIAL_SEED), list[Document]()
+    charms_bench.train(file, folder / f"{ONE_STYLE}{SEED}{TRIAL_SEED}", workers=1, only="level_1")
+    among = networks_of(folder, ONE_STYLE, TRIAL_SEED)
+    for trial in range(TRIALS):
+        network = folder / "trials" / f"{algorithm}-{trial}"
+        train_baseline(file, algorithm, trial, STEPS_OF_TRIALS, among, network)
+        agent = {"onnx": str(network.with_suffix(".onnx").resolve())}
+        egos.append({"agent": agent, "label": f"{algorithm}{SEED}{trial}"})
+    run(folder, f"trials-{algorithm}", {"egos": egos, "seed": 931_000_000})
+    score = (pl.col("reached") - pl.col("at_fault")).mean()
+    scores = values_of(folder, f"trials-{algorithm}").group_by("seed").agg(score=score)
+    return int(scores.sort("score", -pl.col("seed"))["seed"][-1])
 
 
 def finished(folder: Path) -> list[int]:
@@ -127,7 +98,7 @@ def drive(folder: Path) -> None:
 
 def run(folder: Path, name: str, own: Document) -> None:
     """Runs a suite on the four roads, by default 300 episodes from the first one of the test."""
-    suite = {"suite": name, "seed": 990_000_000, "episodes": 300, **own}
+    suite = {"suite": name, "seed": 991_000_000, "episodes": 300, **own}
     suite |= {"scene": {"duration_s": 45}, "roads": [*plan.THREE, plan.INTERSECTION]}
     file = folder / f"{name}.yaml"
     file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")

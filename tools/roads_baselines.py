@@ -1,4 +1,4 @@
-"""DQN and PPO of Stable-Baselines3 in the scenes of `suites/train-roads.yaml`, for one style.
+"""DQN and PPO of Stable-Baselines3 where CHARMS for all roads learns, for one style.
 
 They have CHARMS's scenes, traffic, observation, actions, reward, prior and steps. Lambda times the
 logarithm of the probability that the prior gives an action is added to its reward, as for CHARMS.
@@ -14,9 +14,11 @@ import numpy as np
 import torch
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.network_file import read_network
+from charms_agents.training.own_traffic import OwnTraffic
 from charms_agents.training.reinforcement import environments_of
 from charms_agents.training.sb3_export import NOT_OBSERVATIONS, export_zip
 from charms_agents.training.suite_file import load_training
+from numpy.typing import NDArray
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
@@ -24,24 +26,75 @@ from torch.nn.functional import log_softmax
 
 from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.envs.vector_env import HighwayVectorEnv
+from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.world.scene import Observations
 
-SETTINGS: dict[str, tuple[Any, int, dict[str, Any]]] = {
-    "DQN": (DQN, 600, {
-        "learning_rate": 1e-3, "n_steps": 3, "gamma": 0.99, "batch_size": 256, "train_freq": 1,
-        "gradient_steps": 50, "target_update_interval": 500, "tau": 0.1,
-        "learning_starts": 10_000, "exploration_final_eps": 0.02,
-    }),
-    "PPO": (PPO, 100, {
+FIRST: dict[str, dict[str, Any]] = {
+    "DQN": {
+        "learning_rate": 1e-3, "n_steps": 3, "gamma": 0.99, "batch_size": 256, "gradient_steps": 50,
+        "target_update_interval": 500, "exploration_final_eps": 0.02,
+    },
+    "PPO": {
         "learning_rate": 1e-3, "n_steps": 40, "batch_size": 1_000, "n_epochs": 10, "gamma": 0.99,
         "gae_lambda": 0.95, "ent_coef": 0.01, "clip_range": 0.1,
-    }),
+    },
 }  # fmt: skip
-"""The algorithm, its scenes side by side, and what differs from its defaults: the settings that the
-plan on the straight road chose of 26 trials each (docs/training-plan.md), with CHARMS's discount.
-"""
+"""The settings of the first trial: those that the plan on the straight road chose of 26 trials each
+(docs/training-plan.md), with CHARMS's discount."""
+DRAWN: dict[str, dict[str, tuple[float, ...]]] = {
+    "DQN": {
+        "learning_rate": (1e-4, 3e-4, 5e-4, 1e-3),
+        "n_steps": (1, 3, 5),
+        "gamma": (0.98, 0.99),
+        "batch_size": (128, 256),
+        "gradient_steps": (25, 50, 100),
+        "target_update_interval": (500, 2_000, 5_000),
+        "exploration_final_eps": (0.02, 0.05),
+    },
+    "PPO": {
+        "learning_rate": (1e-4, 3e-4, 1e-3),
+        "n_steps": (20, 40),
+        "batch_size": (250, 500, 1_000),
+        "n_epochs": (5, 10),
+        "gamma": (0.98, 0.99),
+        "gae_lambda": (0.9, 0.95),
+        "ent_coef": (0.0, 0.003, 0.01),
+        "clip_range": (0.1, 0.2),
+    },
+}
+"""The settings that the other trials draw, each uniformly."""
+ALGORITHMS = {"DQN": (DQN, 640), "PPO": (PPO, 120)}
+"""The algorithms, and their scenes side by side."""
+
+
+def settings_of(algorithm: str, trial: int) -> dict[str, Any]:
+    """What differs from the defaults of Stable-Baselines3 in a trial."""
+    found, rng = FIRST[algorithm], np.random.default_rng(trial)
+    if trial:
+        found = {
+            name: values[rng.integers(len(values))] for name, values in DRAWN[algorithm].items()
+        }
+    always = {"train_freq": 1, "tau": 0.1, "learning_starts": 10_000} if algorithm == "DQN" else {}
+    return {**found, **always}
+
+
+class Learner:
+    """A model of Stable-Baselines3 as what `OwnTraffic` asks."""
+
+    prior = None
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+
+    @torch.no_grad()
+    def preferences(self, observations: Observations, given: torch.Tensor) -> NDArray[np.float32]:
+        """The values, or the logits (M, A), of the actions."""
+        seen = torch.from_numpy(observations)
+        if isinstance(self._model, DQN):
+            return np.asarray(self._model.q_net(seen).numpy())
+        return np.asarray(self._model.policy.get_distribution(seen).distribution.logits.numpy())
 
 
 class Conditions(EpisodesVecEnv):
@@ -75,7 +128,9 @@ class Conditions(EpisodesVecEnv):
         return self._seen, rewards, step.ended, infos
 
 
-def train_baseline(file: Path, algorithm: str, among: Path, output: Path) -> None:
+def train_baseline(
+    file: Path, algorithm: str, trial: int, steps: int, among: Path, output: Path
+) -> None:
     """Trains the stage `roads` of a suite by an algorithm, and writes OUTPUT.onnx and .json.
 
     `among` is the folder of the networks of its Level-1 and its prior.
@@ -84,13 +139,17 @@ def train_baseline(file: Path, algorithm: str, among: Path, output: Path) -> Non
         return
     torch.set_num_threads(1)
     suite, began = load_training(file), time.process_time()
-    make, scenes, arguments = SETTINGS[algorithm]
+    (make, scenes), arguments = ALGORITHMS[algorithm], settings_of(algorithm, trial)
     few = suite.hyperparameters.model_copy(update={"scenes": scenes})
     suite, stage = suite.model_copy(update={"hyperparameters": few}), suite.stages["roads"]
-    drivers = {
-        name: OnnxPolicy(among / f"{name}.onnx") if name in suite.names else make_agent(name)
-        for name in suite.drivers_of(stage)
-    }
+    own = OwnTraffic(
+        suite.observed, suite.actions_in(stage.scene), np.zeros((1, 0), dtype=np.float32)
+    )
+    drivers: dict[str, Agent] = {"roads": own}
+    for name in suite.drivers_of(stage):
+        if name != "roads":
+            is_stage = name in suite.names
+            drivers[name] = OnnxPolicy(among / f"{name}.onnx") if is_stage else make_agent(name)
     prior = among / f"{stage.prior}.onnx"
     environments = environments_of(suite, stage, drivers)
     episodes: VecEnv = Conditions(environments, prior, few.prior_weight)
@@ -99,7 +158,8 @@ def train_baseline(file: Path, algorithm: str, among: Path, output: Path) -> Non
     layers = {"net_arch": list(few.hidden_layers)}
     how = {"policy_kwargs": layers, "seed": suite.seed, "device": "cpu"}
     model = make("MlpPolicy", episodes, **how, **arguments)
-    model.learn(stage.steps, log_interval=None)
+    own.learner = Learner(model)
+    model.learn(steps, log_interval=None)
     cpu_s = time.process_time() - began
     zipped, network = output.with_suffix(".zip"), output.with_suffix(".onnx")
     output.parent.mkdir(parents=True, exist_ok=True)
