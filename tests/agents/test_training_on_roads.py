@@ -79,6 +79,17 @@ def test_a_training_on_roads_continues_with_the_same_bits(tmp_path: Path, observ
     assert (whole.observations[:, 0, 0] > 0).any()
 
 
+def test_in_a_condition_the_ego_can_be_any_of_the_vehicles_of_a_road(tmp_path: Path) -> None:
+    file = suite_with("merge-v1", tmp_path)
+    drawn = "[{ego_slots: 2}, {ego_slots: 3, roads: [exit-v1]}, {ego_slots: 99, roads: [merge-v1]}]"
+    text = file.read_text().replace("[{lanes: 2, duration_s: 3.0}]", drawn)
+    file.write_text(text.replace("[straight, roads]", "[straight]"))
+    suite = load_training(file)
+    places = suite.places_of(suite.stages["level_1"])
+    # merge-v1 has the ego, three vehicles on the motorway, and one on the ramp; and an obstacle.
+    assert [scene.ego_slots for scene, _ in places] == [2, 3, 6]
+
+
 SCENARIO = """
   placed:
     - roads: [merge-v1, {name: roundabout-v1, duration_s: 4.0}]

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from charms_bench.episodes.recorded_cell import RecordedCell, find_cells
-from charms_bench.episodes.replay import TRAJECTORY_SCHEMA, replay
+from charms_bench.episodes.replay import TRAJECTORY_SCHEMA, _by_vehicle, replay
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.finished_run import FinishedRun, open_finished
 from charms_bench.runs.resumable_folder import KINDS
@@ -126,3 +126,20 @@ def test_a_copied_run_folder_holds_the_networks_that_were_given_by_path(
     network_file(np.ones((35, 5)), name=str(next((tmp_path / "copy" / "networks").iterdir())))
     with pytest.raises(RunFolderError, match=r"\.onnx: has changed since it was written; run the"):
         replay(RecordedCell(opened, 0, tmp_path / "elsewhere"), [10])
+
+
+def test_vehicles_that_have_had_the_same_place_one_after_another_have_their_own_columns() -> None:
+    moments = {
+        "present": np.array([[1, 1], [1, 0], [1, 1]], dtype=np.bool_),
+        "entry": np.array([[0, 1], [0, 1], [0, 7]]),
+        "x": np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]),
+        "length": np.array([[5.0, 4.0], [5.0, 4.0], [5.0, 9.0]]),
+        "width": np.full((3, 2), 2.0),
+        "driver": np.array([[0, 3], [0, 3], [0, 4]]),
+    }
+    found = _by_vehicle(moments)
+    assert found["present"].T.tolist() == [[1, 1, 1], [1, 0, 0], [0, 0, 1]]
+    assert found["x"][found["present"]].tolist() == [1.0, 2.0, 3.0, 5.0, 6.0]
+    assert (found["x"][~found["present"]] < -500.0).all()
+    assert found["length"].tolist() == [[5.0, 4.0, 9.0]] * 3
+    assert found["driver"].tolist() == [[0, 3, 4]] * 3

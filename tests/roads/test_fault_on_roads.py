@@ -101,6 +101,12 @@ def after(moment: float, start: float) -> Callable[[float], float]:
         pytest.param(
             (15, 4.9, 0, 0, after(3.0, -3.0)), (25, 0, 0), OTHER, id="has come long before"
         ),
+        pytest.param(
+            (30, 0, 1.8, 0, after(0.0, 3.0)),
+            (15, 4.9, 1.8),
+            FIRST,
+            id="moves behind a vehicle that keeps beside the middle of its lane",
+        ),
         pytest.param((20, 0, 1.0, 0, since(2.0, 1.0)), (20, 1, 2.9), FIRST, id="drifts aside"),
         pytest.param(
             (20, 0, 1.0, 0, since(1.0, 1.0)),
