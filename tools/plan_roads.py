@@ -28,6 +28,8 @@ OF_LEVELS = "levels"
 """The test in which Level-1 drives."""
 STRAIGHT = "straight"
 """The test on the straight road."""
+TRAFFIC = "traffic"
+"""The test of the styles as traffic."""
 MERGE, EXIT, ROUNDABOUT = "merge-v1", "exit-v1", "roundabout-v1"
 INTERSECTION = {"name": "intersection-v1", "duration_s": 30.0}
 OWN, PEOPLE = "environment", {"traffic": "yielding_human", "label": "Yielding human"}
@@ -58,6 +60,9 @@ FIRST_SEED = 4060
 OTHERS = ["merge-v0", "exit-v0", "roundabout-v0", "u-turn-v1", "two-way-v0", "merge-generic-v1",
           "roundabout-generic-v1"]  # fmt: skip
 THREE = [MERGE, EXIT, ROUNDABOUT]
+AROUND = "environment", "idm_mobil", "human", "yielding_human"
+AS_TRAFFIC = ["charms-roads", *(f"charms-roads-{each.replace('_', '-')}" for each in STYLES[1:])]
+"""The packaged network, which is that of the selected seed."""
 TESTS: dict[str, dict[str, Any]] = {
     "validation": {"seed": 976_000_000, "episodes": 300, "roads": [*THREE, INTERSECTION]},
     "validation-people": {
@@ -73,6 +78,10 @@ TESTS: dict[str, dict[str, Any]] = {
     OF_STYLES: {"roads": [MERGE, ROUNDABOUT], "traffic_models": [PEOPLE]},
     "others": {"roads": OTHERS},
     STRAIGHT: {"traffic_models": UNKNOWN, "episodes": 1_800, "scene": {"duration_s": 20.0}},
+    TRAFFIC: {
+        "roads": THREE, "episodes": 1_500, "egos": [{"agent": "yielding_human"}],
+        "traffic_models": [{"traffic": name} for name in (*AROUND, *AS_TRAFFIC)],
+    },
 }  # fmt: skip
 """What each suite adds to 600 episodes from seed 988,000,000 of 45 s."""
 VALIDATION = "validation", "validation-people"
@@ -113,7 +122,7 @@ def drive(networks: Path, runs: Path, *tests: str) -> None:
         common = {"suite": test, "seed": 988_000_000, "episodes": 600, "scene": {"duration_s": 45}}
         file = runs / f"{test}.yaml"
         own = TESTS[test] | ({"roads": drawn_maps(networks)} if test == "maps" else {})
-        file.write_text(yaml.safe_dump(common | own | {"egos": egos}, sort_keys=False))
+        file.write_text(yaml.safe_dump(common | {"egos": egos} | own, sort_keys=False))
         charms_bench.run(file, runs / test)
 
 

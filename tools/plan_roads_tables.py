@@ -12,7 +12,7 @@ import numpy as np
 import plan_roads as plan
 import polars as pl
 from plan_roads_told import told, told_table
-from plan_roads_values import kept, mean_of, trained, values_of
+from plan_roads_values import collisions_of_traffic, kept, mean_of, trained, values_of
 from result_pages import RESULTS, keep
 from scipy import stats
 
@@ -164,7 +164,7 @@ def tables(networks: Path, runs: Path) -> None:
     driven = [
         values
         for test in plan.TESTS
-        if test != plan.STRAIGHT and len(values := values_of(runs, test))
+        if test not in (plan.STRAIGHT, plan.TRAFFIC) and len(values := values_of(runs, test))
     ]
     fine = pl.selectors.float().round_sig_figs(4)
     every = pl.concat(driven).with_columns(fine).with_columns(ROUGH)
@@ -183,6 +183,8 @@ def tables(networks: Path, runs: Path) -> None:
         by_seed = told(open_finished(runs / plan.OF_STYLES)).with_columns(pl.col("told").round(4))
         by_seed.write_csv(RESULTS / "plan-roads-told.csv")
         keep("plan-roads-told", told_table(by_seed))
+    if (runs / plan.TRAFFIC).is_dir():
+        keep("plan-roads-traffic", collisions_of_traffic(runs / plan.TRAFFIC))
     if (runs / plan.STRAIGHT).is_dir():
         keep("plan-roads-straight", straight(runs / plan.STRAIGHT))
     if found:

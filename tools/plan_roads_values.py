@@ -12,7 +12,9 @@ from scipy import special
 
 from charms_bench.errors import RunFolderError
 from charms_bench.metrics.collisions import AT_FAULT, ENDED_BADLY, ENDING
+from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
+from charms_bench.report.table import Table
 from charms_bench.runs.finished_run import open_finished
 from charms_bench.statistics.intervals import CONFIDENCE
 from charms_bench.world.scene import Floats
@@ -84,3 +86,17 @@ def mean_of(values: Floats, low: float = -np.inf, high: float = np.inf) -> Numbe
     mean, t = values.mean(), special.stdtrit(n - 1, (1 + CONFIDENCE) / 2)
     margin = t * values.std(ddof=1) / np.sqrt(n)
     return Number(mean, max(mean - margin, low), min(mean + margin, high), n)
+
+
+def collisions_of_traffic(run: Path) -> str:
+    """Vehicles of each traffic model that collide / that leave their lane, per 1,000 km."""
+    finished, records = open_finished(run), dict[str, dict[str, str]]()
+    collides = pl.sum_horizontal("rear_end_striking", "rear_end_struck", "side").sum()
+    for cell in map(finished.cell, finished.finished):
+        rows = pl.concat(part for (part,) in cell.drivers).remove("is_ego")
+        rate = 1e6 / rows["distance_m"].sum()
+        collided, lost = rows.select(collides.alias("both"), pl.sum("crashed")).row(0)
+        record = records.setdefault(cell.traffic, {"traffic": cell.traffic})
+        record[str(cell.road)] = f"{collided * rate:.0f} / {(lost - collided) * rate:.0f}"
+    every = [*records.values()]
+    return markdown(Table.plain(every, ("traffic",), dict.fromkeys([*every[0]][1:], "")))

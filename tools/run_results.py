@@ -18,7 +18,6 @@ from charms_bench.report.avoidability_table import in_words, rescuers_table
 from charms_bench.report.markdown import markdown
 from charms_bench.report.table import Table
 from charms_bench.report.training_tables import stored_training
-from charms_bench.runs.finished_run import open_finished
 from charms_bench.runs.resumable_folder import RunFolder
 
 
@@ -51,20 +50,6 @@ def edges(run: Path) -> str:
     first = f'charms-bench replay runs/ego {found[0].episode} --ego "{found[0].ego}"'
     replayed = f"This command replays the first of these episodes:\n\n```sh\n{first}\n```\n"
     return f"```text\n{listed}\n```\n\n{replayed}"
-
-
-def collisions_of_traffic(run: Path) -> str:
-    """Vehicles of each traffic model that collide / that leave their lane, per 1,000 km."""
-    finished, records = open_finished(run), dict[str, dict[str, str]]()
-    collides = pl.sum_horizontal("rear_end_striking", "rear_end_struck", "side").sum()
-    for cell in map(finished.cell, finished.finished):
-        rows = pl.concat(part for (part,) in cell.drivers).remove("is_ego")
-        rate = 1e6 / rows["distance_m"].sum()
-        collided, lost = rows.select(collides.alias("both"), pl.sum("crashed")).row(0)
-        record = records.setdefault(cell.traffic, {"traffic": cell.traffic})
-        record[str(cell.road)] = f"{collided * rate:.0f} / {(lost - collided) * rate:.0f}"
-    every = [*records.values()]
-    return markdown(Table.plain(every, ("traffic",), dict.fromkeys([*every[0]][1:], "")))
 
 
 def avoidability(run: Path) -> str:

@@ -48,7 +48,6 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "pch": ("pch", partial(of_suites.of_suite, of_suites.PCH)),
     "crossplay": ("crossplay", of_suites.crossplay),
     "roads": ("roads", of_suites.roads),
-    "roads-styles": ("roads-styles", of_runs.collisions_of_traffic),
     "preventable": ("r157", of_suites.preventable),
     "avoidability": ("ego", of_runs.avoidability),
     "fine-tuning": ("train", of_runs.fine_tuning),

@@ -73,6 +73,8 @@ _COLUMNS["impact"] = "has_impact"
 """The columns of the table of vehicles that are arrays of a `Scene`."""
 _NETWORK_ONLY = [name for name in VEHICLE.names or () if name not in (*ARRAYS, "has_impact")]
 """The other columns that are no arrays of a `SceneState`."""
+_DRIVER = "kind", "target_speed", "timer_s", "exponent", "gains", "changes_lanes"
+"""What a vehicle of the environment is driven by."""
 _LARGEST_POWER = 1e20
 """That of a speed over a target speed of almost 0, to the power of IDM's exponent."""
 EGO, OTHER_EGO, TRAFFIC = range(3)
@@ -203,7 +205,10 @@ class RoadEngine(Engine):
             set_types(episodes.scenes, self._settings, self.egos, rows, seeds, entry, everyone)
         episodes.task.navigate(episodes.scenes, others)
         if (slots := self._settings.ego_slots) > 1:
-            self._seat_ego(rows, self._drawn(rows, seeds, slots))
+            places = self._drawn(rows, seeds, slots)
+            self._seat_ego(rows, places)
+            for name in _DRIVER:  # who drives at the place drives the vehicle that comes there
+                vehicles[name][rows, places] = vehicles[name][rows, 0]
         scene.ego[rows], scene.active[rows], self.drivers[rows] = 0, True, agents
         scene.temperament[rows] = 0.5
         self.goals[rows] = False
@@ -239,8 +244,8 @@ class RoadEngine(Engine):
     def _drawn(self, rows: Ints, seeds: NDArray[np.uint64], slots: int) -> Ints:
         """A place (R,) among the first `slots` that has a vehicle, by the seeds."""
         is_there = self.episodes.scenes.vehicles["kind"][rows, :slots] > OBSTACLE
-        zeros = np.zeros(rows.size, dtype=np.uint64)
-        drawn = uniforms(seeds.astype(np.uint64), zeros, zeros, 1)[:, 0]
+        never = np.full(rows.size, -1).astype(np.uint64)  # no decision of a policy has this number
+        drawn = uniforms(seeds.astype(np.uint64), never, never, 1)[:, 0]
         number = (drawn * is_there.sum(axis=1)).astype(np.int64)
         return np.asarray((is_there.cumsum(axis=1) == number[:, None] + 1).argmax(axis=1))
 

@@ -42,6 +42,8 @@ class Rule(NamedTuple):
     lanes: int
     exit_lane: int
     exit_ramp: int
+    motorway: int
+    """The left lane of its last part."""
     ego_spacing: float
     spacing: float
     crowding: float
@@ -65,6 +67,7 @@ class Exit(Task):
             lanes,
             self.lanes["1", "2", lanes],
             self.lanes["2", "exit", 0],
+            self.lanes["2", "3", 0],
             float(config["ego_spacing"]),
             1 / config["vehicles_density"],
             maths.exp(-5 / 40 * lanes),
@@ -114,8 +117,11 @@ class Exit(Task):
             ego["route_step"][rows], ego["route_end"][rows] = 0, 2
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
-        """Whether each ego (B,) is on the ramp."""
-        return np.asarray(scenes.vehicles["lane"][:, 0] == self._rule.exit_ramp)
+        """Whether each ego (B,) is on the ramp, unless its route goes on along the motorway."""
+        ego = scenes.vehicles[:, 0]
+        last = ego["route_roads"][np.arange(ego.size), ego["route_end"] - 1]
+        goes_on = (ego["route_end"] > 0) & (last == self._rule.motorway)
+        return np.asarray((ego["lane"] == self._rule.exit_ramp) & ~goes_on)
 
     def information(self, scenes: Scenes) -> dict[str, Any]:
         """[`ExitEnv._is_success`]"""

@@ -9,6 +9,7 @@ import pytest
 import torch
 from charms_agents.training import pipeline
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
+from charms_agents.training.job import reinforcement_job
 from charms_agents.training.network_file import export
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.rewards import Weights
@@ -211,3 +212,18 @@ def test_own_traffic_does_what_the_network_does_in_the_style_that_each_vehicle_h
         np.testing.assert_array_equal(
             OnnxPolicy(file, style=name).decide(seen[some]), actions[some]
         )
+
+
+def test_how_much_of_its_traffic_a_stage_drives_itself_is_part_of_what_it_depends_on(
+    tmp_path: Path,
+) -> None:
+    keys = set()
+    for traffic in ("drivers", "idm_mobil", "{mixture: {idm_mobil: 0.5, drivers: 0.5}}",
+                    "{mixture: {idm_mobil: 0.9, drivers: 0.1}}"):  # fmt: skip
+        file = tmp_path / "styles.yaml"
+        file.write_text(SUITE.replace("traffic: idm_mobil", f"traffic: {traffic}"))
+        suite = load_training(file)
+        others = [name for name in suite.drivers_of(suite.stages["drivers"]) if name != "drivers"]
+        drivers = {name: make_agent(name) for name in others}
+        keys.add(reinforcement_job(tmp_path, "drivers", suite, drivers).folder)
+    assert len(keys) == 4

@@ -81,13 +81,14 @@ def test_a_training_on_roads_continues_with_the_same_bits(tmp_path: Path, observ
 
 def test_in_a_condition_the_ego_can_be_any_of_the_vehicles_of_a_road(tmp_path: Path) -> None:
     file = suite_with("merge-v1", tmp_path)
-    drawn = "[{ego_slots: 2}, {ego_slots: 3, roads: [exit-v1]}, {ego_slots: 99, roads: [merge-v1]}]"
+    drawn = "[{ego_slots: 2}, {ego_slots: 99}, {ego_slots: 3, roads: [exit-v1]}, {ego_slots: 99, "
+    drawn += "roads: [merge-v1]}]"
     text = file.read_text().replace("[{lanes: 2, duration_s: 3.0}]", drawn)
     file.write_text(text.replace("[straight, roads]", "[straight]"))
     suite = load_training(file)
     places = suite.places_of(suite.stages["level_1"])
     # merge-v1 has the ego, three vehicles on the motorway, and one on the ramp; and an obstacle.
-    assert [scene.ego_slots for scene, _ in places] == [2, 3, 6]
+    assert [scene.ego_slots for scene, _ in places] == [2, 21, 3, 6]
 
 
 SCENARIO = """
@@ -118,6 +119,10 @@ def test_a_network_learns_in_a_scenario_on_roads(tmp_path: Path) -> None:
     assert [str(scene.network) for scene in (merge, roundabout)] == ["merge-v1", "roundabout-v1"]
     assert [scene.duration_s for scene in (merge, roundabout)] == [3.0, 4.0]
     assert traffic.agents == ("prescribed",)
+    stage, (placed,) = suite.stages["level_1"], suite.conditions["placed"]
+    drawn = placed.model_copy(update={"ego_slots": 3})
+    assert placed.traffic is not None
+    assert drawn.applied(stage.scene, placed.traffic).ego_slots == 1
     assert [scene.scenario.vehicles[0].name for scene in (merge, roundabout) if scene.scenario] == [
         "leader"
     ] * 2

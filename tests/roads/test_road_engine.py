@@ -24,7 +24,7 @@ from charms_bench.roads.defaults import DEFAULTS
 from charms_bench.roads.engine import RoadEngine
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.packed_arrays import unpack
-from charms_bench.roads.scenes import COMMANDED, OBSTACLE
+from charms_bench.roads.scenes import COMMANDED, IDM, OBSTACLE
 from charms_bench.roads.settings import on_road
 from charms_bench.runs.runner import plan
 from charms_bench.runs.suite import Suite
@@ -505,3 +505,42 @@ def test_the_ego_can_be_any_of_the_first_vehicles_and_the_scene_stays_the_same()
     rest = np.arange(1, 5)
     moved = np.where(rest == places[:, None], 0, rest)
     np.testing.assert_array_equal(drawn[:, 1:], np.take_along_axis(first, moved, axis=1))
+
+
+def test_who_drives_at_the_egos_new_place_drives_the_vehicle_that_comes_there() -> None:
+    on = on_road(SceneSettings(profile="roads"), NamedRoad(name="roundabout-v1"))
+    on = on.model_copy(update={"ego_slots": 5})
+    traffic, agents = OneAgent(PRESCRIBED), {"a": make_agent("idm_mobil")}
+    made = Simulation(on, 200, "a", traffic, agents, RoadEngine)
+    made.reset(np.arange(200, dtype=np.uint64))
+    vehicles = made.engine.episodes.scenes.vehicles
+    is_other = vehicles["kind"][:, 1:] > OBSTACLE
+    assert is_other.any(axis=1).all()
+    assert (vehicles["kind"][:, 1:][is_other] == IDM).all()
+    assert (vehicles["kind"][:, 0] == COMMANDED).all()
+    first = vehicles["speed"][:, 1:].copy()
+    for _ in range(30):
+        made.step()
+    # The ego of this road starts with 8 m/s, and vehicles of the environment want to drive faster.
+    displaced = is_other & (first == 8.0)
+    assert displaced.sum() > 100
+    assert (vehicles["speed"][:, 1:][displaced] != 8.0).all()
+
+
+def test_on_the_motorway_with_an_exit_only_who_is_sent_there_reaches_a_goal_on_the_ramp() -> None:
+    on = on_road(SceneSettings(profile="roads"), NamedRoad(name="exit-v1"), 30.0)
+    sent = {}
+    for slots in (1, 21):
+        agents = {"a": make_agent("idm_mobil")}
+        scene = on.model_copy(update={"ego_slots": slots})
+        made = Simulation(scene, 40, "a", OneAgent("a"), agents, RoadEngine)
+        made.reset(np.arange(40, dtype=np.uint64))
+        lanes, ego = made.engine.episodes.task.lanes, made.engine.episodes.scenes.vehicles[:, 0]
+        sent[slots] = int((ego["route_end"] == 2).sum())
+        ego["lane"] = lanes["2", "exit", 0]
+        found = made.engine.episodes.task.has_reached_goal(
+            made.engine.episodes.scenes, np.full(40, -1)
+        )
+        np.testing.assert_array_equal(found, ego["route_end"] == 2)
+    assert sent[1] == 40
+    assert 0 < sent[21] < 10

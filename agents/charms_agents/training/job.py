@@ -114,7 +114,7 @@ def reinforcement_job(
         "hyperparameters": suite.hyperparameters.model_dump(mode="json"),
         "curve_steps": suite.curve_steps,
         "scene": stage.scene.model_dump(mode="json"),
-        "traffic": _traffic_inputs(stage, drivers),
+        "traffic": _traffic_inputs(stage, drivers, name in suite.drivers_of(stage)),
         "charms_bench": version("charms-bench"),
         **interface,
         **options,
@@ -144,12 +144,15 @@ def _conditions(suite: TrainingSuite, stage: Stage | SimulatedDrivers) -> dict[s
     return {"conditions": [each.model_dump(mode="json", exclude_none=True) for each in found]}
 
 
-def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any]:
+def _traffic_inputs(
+    stage: Stage, drivers: Mapping[str, Agent], is_in_its_own: bool = False
+) -> dict[str, Any]:
+    """The traffic of a stage, for its inputs, in which its own network can drive, too."""
     hashes = {
         name: driver.weights_sha256 if isinstance(driver, Policy) else ""
         for name, driver in drivers.items()
     }
-    if len(hashes) == 1:
+    if len(hashes) == 1 and not is_in_its_own:
         ((name, sha256),) = hashes.items()
         return {"agent": sha256 if is_network(name) else name, "weights_sha256": sha256}
     spec = stage.traffic.model_dump(mode="json", exclude_defaults=True)

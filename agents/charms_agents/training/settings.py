@@ -77,15 +77,18 @@ class Condition(FrozenModel):
             InputError: The road does not exist, or its configuration is wrong.
         """
         names = {"lanes", "density", "duration_s", "profile"}
-        names |= set() if self.roads else {"ego_slots"}
         changes = self.model_dump(include=names, exclude_none=True)
+        if self.ego_slots is not None and not self.roads:
+            changes["ego_slots"] = min(self.ego_slots, 1 + scene.traffic_vehicles)
         found = SceneSettings.model_validate({**scene.model_dump(), **changes})
         for road in (self.roads or ())[:1]:
             from charms_bench.roads.settings import on_road  # slow to import
 
             found = on_road(found, road.road, road.duration_s, traffic.scenario)
-            slots = min(self.ego_slots or 1, 1 + found.traffic_vehicles)
-            return found.model_copy(update={"ego_slots": slots})
+            if traffic.scenario is None:
+                slots = min(self.ego_slots or 1, 1 + found.traffic_vehicles)
+                found = found.model_copy(update={"ego_slots": slots})
+            return found
         return found.of_scenario(traffic.scenario)
 
 
