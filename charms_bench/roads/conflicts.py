@@ -41,7 +41,7 @@ class Conflicts(NamedTuple):
     """[C] the lane into which both merge; -1 for a crossing."""
     priority: Ints
     """[C] `FIRST` if vehicles of the lane have the right of way, `BEHIND` if those of the other
-    lane have it."""
+    lane have it, and else `NOT_SAID`."""
     first_feed: Ints
     """[C + 1] the first of the lanes that lead to each conflict."""
     feed: Ints

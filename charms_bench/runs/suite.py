@@ -55,7 +55,7 @@ def _listed(value: object) -> object:
 
 
 class EgoEntry(FrozenModel):
-    """An ego of the suite."""
+    """An ego of the suite; a plain text is its agent."""
 
     agent: AgentSpec
     """The agent that drives the ego; a plain text is its name, or the path of a network."""
@@ -64,6 +64,11 @@ class EgoEntry(FrozenModel):
     paper: dict[str, Finite] = Field(default={})
     """Published values of the metrics of the set `paper`, shown beside the measured ones."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, value: object) -> object:
+        return {"agent": value} if isinstance(value, str) else value
+
     @property
     def title(self) -> str:
         """Its name in tables."""
@@ -71,7 +76,7 @@ class EgoEntry(FrozenModel):
 
 
 class TrafficEntry(FrozenModel):
-    """A traffic model of the suite."""
+    """A traffic model of the suite; a plain text is the traffic."""
 
     traffic: TrafficSpec
     """The traffic model; a plain text is its name, or that of the agent of every vehicle."""
@@ -79,6 +84,11 @@ class TrafficEntry(FrozenModel):
     """Its name in tables; by default the traffic model's."""
     paper: dict[str, Finite] = Field(default={})
     """Published values of the metrics of the set `paper`, shown beside the measured ones."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, value: object) -> object:
+        return {"traffic": value} if isinstance(value, str) else value
 
     @property
     def title(self) -> str:

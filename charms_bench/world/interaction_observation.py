@@ -10,7 +10,8 @@ ego's way are between bumpers, and those to conflict points from the vehicles' c
   the right; and the speed limit / 33 m/s.
 - Row 1, the way: whether there is a lane to its left, and to its right, to which it may change; the
   lane changes that its route asks for, positive to the right / 4, and the distance to where they
-  must be done / 100 m; the distance to the end of its route / 200 m; the distances to the next
+  must be done / 100 m, with `exit_lanes` also where vehicles can leave their road from any lane;
+  the distance to the end of its route / 200 m; the distances to the next
   conflict point where it gives way, and to the next where it does not / 100 m; and the angle by
   which its way turns within the next 25 m / pi. Distances are 1 if there is no such place in range.
 - Rows 2 to 7, the nearest vehicles within 100 m on the left, own and right lane, the leader of each

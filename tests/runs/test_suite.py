@@ -21,6 +21,11 @@ VALIDATION_SEEDS = 900_000_000
 """Networks and settings are chosen on episodes with seeds from here on (docs/training.md)."""
 
 
+def test_a_plain_text_is_an_ego_or_a_traffic_model() -> None:
+    short = {"egos": ["idm_mobil"], "traffic_models": ["idm_mobil"]}
+    assert Suite.model_validate(MINIMAL | short) == Suite.model_validate(MINIMAL)
+
+
 def test_a_profile_is_a_name_with_overrides() -> None:
     profile = {"name": "charms", "tau_heading_s": 0.4, "idm_mobil": {"time_headway_s": 1.2}}
     suite = Suite.model_validate({**MINIMAL, "scene": {"profile": profile}})

@@ -15,9 +15,10 @@ LEAST = 2.0**-54
 
 
 class OwnTraffic(Policy):
-    """The network as it is now, which draws its actions as it will when it is trained.
+    """The network as it is now.
 
-    Each vehicle also draws one of the styles that the network is given, and keeps it.
+    With a prior, it draws its actions, as after the training, and else it takes the best ones. Each
+    vehicle also draws one of the styles that the network is given, and keeps it.
 
     Args:
         observation: What the network observes.
