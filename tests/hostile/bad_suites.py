@@ -147,7 +147,7 @@ _VALUES: tuple[tuple[str, str, Sequence[str]], ...] = (
     (TRAINING, "svo", ("kind",)),
     (TRAINING, "learning_rate", ("0", ".nan")),
     (TRAINING, "hidden_layers", ("many", "[1000000000, 1000000000]", "[" + "4, " * 9 + "4]")),
-    (TRAINING, "traffic", ("nobody", "one", "{mixture: {nobody: 1}}")),
+    (TRAINING, "traffic", ("nobody", "{mixture: {nobody: 1}}")),
     (TRAINING, "steps", ("101",)),
 )  # fmt: skip
 
