@@ -12,7 +12,7 @@ import numpy as np
 import plan_roads as plan
 import polars as pl
 from plan_roads_told import told, told_table
-from plan_roads_values import collisions_of_traffic, kept, mean_of, trained, values_of
+from plan_roads_values import kept, mean_of, rates_of_traffic, traffic_table, trained, values_of
 from result_pages import RESULTS, keep
 from scipy import stats
 
@@ -172,7 +172,7 @@ def tables(networks: Path, runs: Path) -> None:
     found = {test: values for (test,), values in found.items()}
     of_validation = [found.pop(test) for test in plan.VALIDATION if test in found]
     if len(of_validation) == len(plan.VALIDATION):
-        seeds = selected(pl.concat(of_validation)).with_columns(pl.col("seed").cast(str))
+        seeds = selected(pl.concat(of_validation)).cast({"seed": pl.String})
         forms = {"limits_met": ".0f"} | {name: COLUMNS[name][1] for name in seeds.columns[2:]}
         keep("plan-roads-selection", markdown(Table.plain(seeds.to_dicts(), ("seed",), forms)))
     if with_limits := [found[test] for test in ("people", "own") if test in found]:
@@ -184,7 +184,7 @@ def tables(networks: Path, runs: Path) -> None:
         by_seed.write_csv(RESULTS / "plan-roads-told.csv")
         keep("plan-roads-told", told_table(by_seed))
     if (runs / plan.TRAFFIC).is_dir():
-        keep("plan-roads-traffic", collisions_of_traffic(runs / plan.TRAFFIC))
+        keep("plan-roads-traffic", traffic_table(rates_of_traffic(runs / plan.TRAFFIC)))
     if (runs / plan.STRAIGHT).is_dir():
         keep("plan-roads-straight", straight(runs / plan.STRAIGHT))
     if found:
@@ -195,7 +195,6 @@ def tables(networks: Path, runs: Path) -> None:
         is_style = pl.col("ego").is_in([each.replace("_", " ") for each in plan.STYLES])
         styles, others = cells.filter(is_style).sort("ego"), cells.remove(is_style)
         place = pl.col("ego").replace_strict({plan.CHARMS: 0, plan.LEVEL_1: 1}, default=2)
-        others = others.sort(place, maintain_order=True)  # the first columns
-        keep("plan-roads", outcomes(others, keys, "ego"))
+        keep("plan-roads", outcomes(others.sort(place, maintain_order=True), keys, "ego"))
         if len(styles):
             keep("plan-roads-styles", outcomes(styles, ("ego",), "road"))

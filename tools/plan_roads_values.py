@@ -88,15 +88,21 @@ def mean_of(values: Floats, low: float = -np.inf, high: float = np.inf) -> Numbe
     return Number(mean, max(mean - margin, low), min(mean + margin, high), n)
 
 
-def collisions_of_traffic(run: Path) -> str:
-    """Vehicles of each traffic model that collide / that leave their lane, per 1,000 km."""
-    finished, records = open_finished(run), dict[str, dict[str, str]]()
+def rates_of_traffic(run: Path) -> pl.DataFrame:
+    """How many vehicles of each traffic model collide, and leave their lane, per 1,000 km."""
+    finished, records = open_finished(run), []
     collides = pl.sum_horizontal("rear_end_striking", "rear_end_struck", "side").sum()
     for cell in map(finished.cell, finished.finished):
         rows = pl.concat(part for (part,) in cell.drivers).remove("is_ego")
         rate = 1e6 / rows["distance_m"].sum()
         collided, lost = rows.select(collides.alias("both"), pl.sum("crashed")).row(0)
-        record = records.setdefault(cell.traffic, {"traffic": cell.traffic})
-        record[str(cell.road)] = f"{collided * rate:.0f} / {(lost - collided) * rate:.0f}"
-    every = [*records.values()]
-    return markdown(Table.plain(every, ("traffic",), dict.fromkeys([*every[0]][1:], "")))
+        known = {"traffic": cell.traffic, "road": cell.road}
+        records.append(known | {"collided": collided * rate, "left": (lost - collided) * rate})
+    return pl.DataFrame(records)
+
+
+def traffic_table(rates: pl.DataFrame) -> str:
+    """A column for each road: vehicles that collide / that leave their lane, per 1,000 km."""
+    text = pl.concat_str(pl.col("collided", "left").round().cast(int), separator=" / ")
+    wide = rates.with_columns(text=text).pivot("road", index="traffic", values="text")
+    return markdown(Table.plain(wide.to_dicts(), ("traffic",), dict.fromkeys(wide.columns[1:], "")))

@@ -17,7 +17,7 @@ import polars as pl
 import yaml
 from plan_roads import SEED
 from plan_roads_tables import LIMITS, ROUGH, percentage
-from plan_roads_values import kept, mean_of, values_of
+from plan_roads_values import kept, mean_of, rates_of_traffic, values_of
 from result_pages import keep
 from roads_variants import COMPLETE, ONE_STYLE, STEPS, STEPS_OF_LEVEL_1, VARIANTS, Document, written
 
@@ -31,6 +31,7 @@ TUNED = "IDM+MOBIL that gives way, tuned"
 """See `roads_tuned`."""
 BASELINES = "DQN", "PPO"
 """What learns the style of `ONE_STYLE` in its place."""
+AS_TRAFFIC = "ablations-as-traffic"
 QUANTITIES = {"reached": "goal reached", "at_fault": "at fault or undecided"}
 
 
@@ -83,8 +84,8 @@ def finished(folder: Path) -> list[int]:
 
 
 def drive(folder: Path) -> None:
-    """Drives 300 episodes per road with each network, in the roads' own traffic."""
-    egos: list[Document] = []
+    """Drives 300 episodes per road with each network, and 150 among each as the traffic."""
+    egos, traffics = list[Document](), list[Document]()
     for seed in finished(folder):
         people = {"onnx": str(networks_of(folder, COMPLETE, seed) / "people.onnx")}
         egos.append({"agent": people, "label": f"{PRIOR}{SEED}{seed}"})
@@ -92,14 +93,19 @@ def drive(folder: Path) -> None:
             agent = {"onnx": str(networks_of(folder, name, seed) / "roads.onnx")}
             if name in VARIANTS:
                 agent["style"] = plan.STYLES[0]
-            egos.append({"agent": agent, "label": f"{name}{SEED}{seed}"})
+            label = f"{name}{SEED}{seed}"
+            egos.append({"agent": agent, "label": label})
+            traffics.append({"traffic": {"onnx": agent["onnx"]}, "label": label})
     run(folder, "ablations", {"egos": egos})
+    among = {"egos": ["yielding_human"], "traffic_models": traffics, "episodes": 150}
+    run(folder, AS_TRAFFIC, {**among, "roads": plan.THREE})
 
 
 def run(folder: Path, name: str, own: Document) -> None:
     """Runs a suite on the four roads, by default 300 episodes from the first one of the test."""
-    suite = {"suite": name, "seed": 991_000_000, "episodes": 300, **own}
-    suite |= {"scene": {"duration_s": 45}, "roads": [*plan.THREE, plan.INTERSECTION]}
+    roads = [*plan.THREE, plan.INTERSECTION]
+    suite = {"suite": name, "seed": 991_000_000, "episodes": 300, "roads": roads, **own}
+    suite |= {"scene": {"duration_s": 45}}
     file = folder / f"{name}.yaml"
     file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
     charms_bench.run(file, folder / name)
@@ -142,6 +148,25 @@ def differences(values: pl.DataFrame) -> str:
     return markdown(Table.plain(every, ("road", "variant"), dict.fromkeys(columns, "")))
 
 
+def collisions(folder: Path) -> str:
+    """How many vehicles of each variant collide as traffic, per 1,000 km, by road."""
+    label = pl.col("traffic").str.split_exact(SEED, 1).struct
+    rates = rates_of_traffic(folder / AS_TRAFFIC).with_columns(
+        label[0].alias("variant"), label[1].alias("seed")
+    )
+    records = dict[str, dict[str, object]]()
+    for (variant, road), row in rates.group_by("variant", "road", maintain_order=True):
+        own = row.sort("seed")["collided"].to_numpy()
+        base = rates.filter(variant=COMPLETE, road=road).sort("seed")["collided"].to_numpy()
+        change = mean_of(own - base)
+        text = f"{own.mean():.0f}"
+        if variant != COMPLETE:
+            text += f" ({change.value:+.0f} [{change.low:+.0f}, {change.high:+.0f}])"
+        records.setdefault(str(variant), {"variant": variant})[str(road)] = text
+    every = [*records.values()]
+    return markdown(Table.plain(every, ("variant",), dict.fromkeys(plan.THREE, "")))
+
+
 def tables(folder: Path) -> None:
     """Writes what the networks do; what is not in the folder keeps its rows."""
     rough = pl.selectors.float().round_sig_figs(4)
@@ -157,6 +182,8 @@ def tables(folder: Path) -> None:
         for road in LIMITS
     ]  # fmt: skip
     keep("plan-roads-ablations", differences(pl.concat(by_road)))
+    if (folder / AS_TRAFFIC).is_dir():
+        keep("plan-roads-ablations-traffic", collisions(folder))
 
 
 if __name__ == "__main__":
