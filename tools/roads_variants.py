@@ -8,7 +8,7 @@ import yaml
 from result_pages import ROOT
 
 SUITE = ROOT / "suites" / "train-roads-self-play.yaml"
-STEPS_OF_LEVEL_1, STEPS = 115_200, 600_320
+STEPS_OF_LEVEL_1, STEPS = 57_600, 300_160
 """The second are those of all stages together."""
 COMPLETE, ONE_STYLE = "CHARMS", "one style"
 Document = dict[str, Any]
