@@ -50,7 +50,8 @@ class Condition(FrozenModel):
     duration_s: Positive | None = None
     profile: ProfileLike | None = None
     ego_slots: Annotated[int, Field(ge=1)] | None = None
-    """How many of the first vehicles can be the ego; all of them, if there are fewer on a road."""
+    """How many of the first vehicles can be the ego, by default 1 on roads; all of them, if there
+    are fewer. A scenario says itself where the ego is."""
     traffic: TrafficSpec | None = None
     """A scenario's `points` are `random`, because trainings have other seeds than evaluations."""
     roads: Annotated[tuple[RoadEntry, ...], Field(strict=False, max_length=100)] | None = None
