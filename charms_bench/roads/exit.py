@@ -118,10 +118,13 @@ class Exit(Task):
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
         """Whether each ego (B,) is on the ramp, unless its route goes on along the motorway."""
-        ego = scenes.vehicles[:, 0]
-        last = ego["route_roads"][np.arange(ego.size), ego["route_end"] - 1]
-        goes_on = (ego["route_end"] > 0) & (last == self._rule.motorway)
-        return np.asarray((ego["lane"] == self._rule.exit_ramp) & ~goes_on)
+        vehicles = scenes.vehicles
+        found = np.asarray(vehicles["lane"][:, 0] == self._rule.exit_ramp)
+        if found.any():
+            end = vehicles["route_end"][found, 0]
+            last = vehicles["route_roads"][found, 0, end - 1]
+            found[found] = (end == 0) | (last != self._rule.motorway)
+        return found
 
     def information(self, scenes: Scenes) -> dict[str, Any]:
         """[`ExitEnv._is_success`]"""
