@@ -13,7 +13,9 @@ class Views(Protocol):
     """
 
     own: Scene
-    """[B, N] each vehicle as it saw itself at the last `look`; its neighbours are not found."""
+    """[B, N] each vehicle as it saw itself at the last `look`; its neighbours are not found.
+
+    Of the traffic, only what has not passed the end of its road is present."""
     collision: Ints
     """[B, N] how each vehicle has collided, as indices into `collision_kinds.COLLISIONS`."""
     at_fault: Bools

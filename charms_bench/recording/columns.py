@@ -207,8 +207,9 @@ On one of highway-env's roads, the events of the ego's row are those along its w
 the traffic are each along the way of the vehicle that follows or changes lanes. The driver of the
 vehicles that a road's environment has itself is called `environment`.
 
-A vehicle counts until it collides or leaves the road. Its thresholds were applied during the
-simulation, so other thresholds need a new simulation.
+A vehicle counts until it collides, leaves the road, or passes the end of a lane that no lane
+follows, where highway-env's vehicles drive on. Its thresholds were applied during the simulation,
+so other thresholds need a new simulation.
 """
 
 

@@ -90,7 +90,7 @@ class Primitives:
         self._simulation, self._views = simulation, views
         self._vehicles = np.zeros((2 * scenes, vehicles), dtype=VEHICLE)
         self._last = np.arange(scenes)
-        scene = self._scene
+        scene = self.scene
         self._collided = scene.crashed.copy()
         self._present = scene.present.copy()
         self._entry = scene.entry.copy()
@@ -107,7 +107,8 @@ class Primitives:
         self._vehicles["lost"][self._last] = ~scene.present
 
     @property
-    def _scene(self) -> Scene:
+    def scene(self) -> Scene:
+        """The vehicles that count, as they are now."""
         return self._simulation.scene if self._views is None else self._views.own
 
     def last(self, name: str) -> Any:
@@ -116,7 +117,7 @@ class Primitives:
 
     def at_decision(self, scenes: Ints) -> Frames:
         """The frames of the scenes (S,) at the decision that has just been reached."""
-        scene = self._scene
+        scene = self.scene
         if self.changes:
             self.left = self._present & ~(scene.present & (scene.entry == self._entry))
             self._collided &= ~self.left
@@ -136,7 +137,7 @@ class Primitives:
 
     def take(self, scenes: Ints, ahead: int) -> Frames:
         """The frames of the scenes (S,), whose decision is the last one or some `ahead`."""
-        made, scene = self._simulation, self._scene
+        made, scene = self._simulation, self.scene
         collision = made.collision if self._views is None else self._views.collision
         moments = np.empty(scenes.size, dtype=MOMENT)
         note_moments(scenes, self._last, made.steps, ahead, scene.active, moments)
@@ -155,7 +156,7 @@ class Primitives:
 
         A vehicle counts from the first decision at which it is there until the last one.
         """
-        scene, vehicles = self._scene, self._vehicles
+        scene, vehicles = self.scene, self._vehicles
         is_here, was_here = scene.present[scenes], self._present[scenes]
         has_stayed = is_here & was_here & (scene.entry[scenes] == self._entry[scenes])
         has_appeared = is_here & ~has_stayed

@@ -42,8 +42,8 @@ class Recording:
         """Where all vehicles are along their own ways."""
         self._start_x = self._places.last("x")
         self._end_x = self._start_x.copy()
-        state = simulation.engine.state
-        self._seen = np.where(state.present, state.entry, -1)
+        scene = self._places.scene
+        self._seen = np.where(scene.present, scene.entry, -1)
         """[B, N] the number of the last vehicle at each place, -1 for none so far."""
         self._gone = np.zeros(simulation.seeds.size, dtype=np.int64)
         self._gone_m = np.zeros(simulation.seeds.size)
@@ -96,7 +96,7 @@ class Recording:
 
     def _note_places(self, was_running: Bools) -> None:
         """Notes where vehicles are, from the decision after they have appeared until they leave."""
-        scene, x = self._simulation.engine.state, self._places.last("x")
+        scene, x = self._places.scene, self._places.last("x")
         has_appeared = scene.present & (scene.entry != self._seen)
         is_gone = has_appeared & (self._seen >= 0)
         stayed = scene.present & ~has_appeared & was_running[:, None]
@@ -122,7 +122,7 @@ class Recording:
         struck = simulation.collision[rows, ego] == STRUCK
         is_traffic = self._seen >= 0
         is_traffic[rows, ego] = False
-        is_lost = self._places.last("lost") & simulation.engine.state.present
+        is_lost = self._places.last("lost") & self._places.scene.present
         columns = {
             "episode": simulation.seeds,
             "ending": np.array(ENDINGS)[simulation.ending],

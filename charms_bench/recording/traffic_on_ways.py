@@ -3,7 +3,7 @@
 Each vehicle is described along its own way, on which it sees the others: its leader, its followers
 and its lanes are found as on the straight road. An event belongs to the way of the vehicle that
 follows or changes lanes. A vehicle that comes to another road, whose lanes have other numbers,
-changes no lane.
+changes no lane. One that has passed the end of a lane that no lane follows no longer counts.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ class TrafficOnWays:
         frames = self.kept.at_decision(scenes)
         self._sums.forget(self.kept.left)
         self._sums.find_drivers()
-        each, places = np.nonzero(self._simulation.engine.state.present[scenes])
+        each, places = np.nonzero(self._views.own.present[scenes])
         moments = frames.moments[each]
         moments["first"], moments["after"] = places, places + 1
         was, own = (

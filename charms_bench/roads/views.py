@@ -31,6 +31,7 @@ from charms_bench.roads.straightened import (
     see,
     target_beside,
 )
+from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import Straight, is_near_lane, is_on_length
 from charms_bench.world.scene import VACANT_X_M, Scene, SceneSettings, Vehicles
 
@@ -51,9 +52,7 @@ class RoadViews:
         self._scenes = scenes._replace(ways=self._ways)
         self._along = np.zeros(state.x.shape[1], ALONG)
         self._along["place"] = np.arange(state.x.shape[1])
-        self.own = Scene.empty(settings, count)._replace(
-            present=state.present, entry=state.entry, active=state.active
-        )
+        self.own = Scene.empty(settings, count)._replace(entry=state.entry, active=state.active)
         self._entry = np.where(state.present, state.entry, -1)
         self.collision: Ints = np.zeros(state.x.shape, dtype=np.int8)
         self.at_fault: Bools = np.zeros(state.x.shape, dtype=np.bool_)
@@ -84,6 +83,16 @@ class RoadViews:
         roads = self._scenes.road.lanes["first"][self._scenes.vehicles["lane"]]
         self.turned, self._roads = roads != self._roads, roads
         see_themselves(self._scenes, self.own.unpacked, scenes)
+        self.own.present[:] = self._state.present & ~self._are_beyond_ends()
+
+    def _are_beyond_ends(self) -> Bools:
+        """[B, N] whether vehicles have passed the end of a lane that no lane follows."""
+        lanes, starts = self._ways["lanes"], self._ways["starts"][..., BEHIND]
+        lengths = self._scenes.road.lanes["length"][self._scenes.vehicles["lane"]]
+        is_last = (lanes[..., BEHIND] >= 0) & (lanes[..., BEHIND + 1] < 0)
+        beyond: Bools = is_last & (self.own.x - starts >= lengths + END_MARGIN_M)
+        beyond[np.arange(len(beyond)), self._state.ego] = False
+        return beyond
 
     def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:
         rows, places = vehicles

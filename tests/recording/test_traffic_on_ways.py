@@ -26,13 +26,20 @@ OF_FAULT = ("at_fault", "rear_end_striking", "rear_end_struck", "side")
 """What is judged by other rules on other roads."""
 
 
-def simulation(road: str, scenes: int, traffic: Traffic, **configuration: Any) -> Simulation:
-    """Scenes on a road that have just started, with IDM+MOBIL as the ego."""
+def simulation(
+    road: str,
+    scenes: int,
+    traffic: Traffic,
+    ego: str = "idm_mobil",
+    duration_s: float = 20.0,
+    **configuration: Any,
+) -> Simulation:
+    """Scenes on a road that have just started."""
     named = NamedRoad(name=road, configuration=configuration or None)
-    settings = on_road(SceneSettings.model_validate({"profile": FREE, "duration_s": 20.0}), named)
-    names = {"idm_mobil", *traffic.agents} - {PRESCRIBED}
-    agents = {name: make_agent(name) for name in names}
-    made = Simulation(settings, scenes, "idm_mobil", traffic, agents, RoadEngine)
+    given = {"profile": FREE, "duration_s": duration_s}
+    settings = on_road(SceneSettings.model_validate(given), named)
+    agents = {name: make_agent(name) for name in {ego, *traffic.agents} - {PRESCRIBED}}
+    made = Simulation(settings, scenes, ego, traffic, agents, RoadEngine)
     made.reset(np.arange(scenes, dtype=np.uint64))
     return made
 
@@ -101,6 +108,32 @@ def test_every_vehicle_is_counted_on_a_road_where_they_come_and_go() -> None:
     # The way is longer than the chords between decisions, but only a little.
     np.testing.assert_allclose(rows["traffic_distance_m"], driven, rtol=0.03)
     assert rows["traffic_crashed"].sum() > 0
+
+
+def test_a_vehicle_that_passes_the_end_of_its_road_no_longer_counts() -> None:
+    scenes, end = 24, 170.0 + 5.0  # of the exits of highway-env's roundabout, and its margin
+    made = simulation("roundabout-v1", scenes, OneAgent("charms-roads"), "yielding_human", 45.0)
+    recording, state = Recording(made), made.engine.state
+    counts, beyond = state.present.copy(), np.zeros_like(state.present)
+    driven, collided, outside = np.zeros(scenes), 0, 0
+    counts[:, 0] = False
+    while made.scene.active.any():
+        running = made.scene.active[:, None].copy()
+        was_x, was_y, was_crashed = state.x.copy(), state.y.copy(), state.crashed.copy()
+        made.step()
+        recording.note()
+        beyond |= (np.abs(state.x) >= end) | (np.abs(state.y) >= end)
+        new = state.crashed & ~was_crashed & running
+        outside += int((new & beyond)[:, 1:].sum())
+        counts &= ~beyond
+        collided += int((new & counts).sum())
+        driven += np.where(counts & running, np.hypot(state.x - was_x, state.y - was_y), 0).sum(1)
+    assert outside > 0
+    assert collided > 0
+    np.testing.assert_allclose(recording.episodes()["traffic_distance_m"], driven, rtol=0.05)
+    rows = recording.drivers().filter(~pl.col("is_ego"))
+    counted = rows.select(pl.sum("rear_end_striking", "rear_end_struck", "side")).row(0)
+    assert sum(counted) == collided
 
 
 @pytest.mark.parametrize("road", ["merge-v1", "roundabout-v1"])
