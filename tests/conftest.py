@@ -50,6 +50,11 @@ def _one_worker_is_this_process() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _sb3_logs_into_the_folder_of_the_tests(tmp_path_factory: pytest.TempPathFactory) -> None:
+    os.environ["SB3_LOGDIR"] = str(tmp_path_factory.mktemp("sb3"))
+
+
 @pytest.fixture
 def network_file(tmp_path: Path) -> Callable[..., Path]:
     """Writes an ONNX file of one linear layer into the test's folder; see `linear_network`."""

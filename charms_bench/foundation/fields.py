@@ -3,7 +3,7 @@
 import json
 import operator
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
     AfterValidator,
@@ -50,11 +50,15 @@ class FrozenModel(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
+    plain_text: ClassVar[str] = ""
+    """The field that a plain text stands for, if any."""
 
     @model_validator(mode="before")
     @classmethod
     def _name_known_keys(cls, data: Any, info: ValidationInfo) -> Any:
         """Says at an unknown key which keys there are, which pydantic's own error does not."""
+        if cls.plain_text and isinstance(data, str):
+            return {cls.plain_text: data}
         known = {field.alias or name: field for name, field in cls.model_fields.items()}
         names = known if info.context else {**known, **cls.model_fields}  # in YAML, or elsewhere
         unknown = [key for key in data if key not in names] if isinstance(data, dict) else []

@@ -33,17 +33,13 @@ Counts = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=BIN
 class ReferenceSpec(FrozenModel):
     """Names a reference in the package, or a folder of recordings in highD's format."""
 
+    plain_text = "name"
     name: Name | None = None
     """A reference in the package: `i24`, `i75`, `us101_corrected` or `us101`."""
     recordings: FilePath | None = None
     """A folder of recordings, relative to the suite's folder."""
     label: Name | None = None
     """Its name in tables; by default its name, or that of the folder."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_name(cls, value: object) -> object:
-        return {"name": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
     def _one_of_two(self) -> "ReferenceSpec":

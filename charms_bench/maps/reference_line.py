@@ -71,9 +71,7 @@ def _which(starts: Floats, s: Floats, until: float) -> Ints:
     return np.maximum(np.searchsorted(starts, inner, side="right") - 1, 0)
 
 
-def polynomials(
-    elements: Sequence[Element], offset: str = "s", start: float = 0.0, least: float | None = None
-) -> Polynomials:
+def polynomials(elements: Sequence[Element], offset: str = "s", start: float = 0.0) -> Polynomials:
     """The polynomials that elements describe; 0 without elements.
 
     Args:
@@ -81,11 +79,10 @@ def polynomials(
             `offset`.
         offset: The name of that attribute.
         start: What the distances are counted from.
-        least: If given, the least allowed distance.
     """
     rows = []
     for each in elements:
-        s = start + each.number(offset, low=-1e-3 if least is None else least)
+        s = start + each.number(offset, low=-1e-3)
         rows.append((s, *(each.number(name) for name in "abcd")))
     if not rows or min(rows)[0] > start + _TOUCH_M:
         rows.append((start, 0.0, 0.0, 0.0, 0.0))

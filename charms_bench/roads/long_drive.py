@@ -2,7 +2,6 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -52,13 +51,7 @@ class Drive:
         return 1000 * sum(self.crashes.values()) / max(self.km, 1e-9)
 
 
-def long_drive(
-    path: Path,
-    vehicles: int,
-    hours: float,
-    seed: int = 0,
-    progress: Callable[[float], None] = lambda hours: None,
-) -> Drive:
+def long_drive(path: Path, vehicles: int, hours: float, seed: int = 0) -> Drive:
     """Lets highway-env's IDM vehicles drive from goal to goal; see `road_from_file`.
 
     Args:
@@ -66,7 +59,6 @@ def long_drive(
         vehicles: How many drive; if there is no space for all at the start, the others come later.
         hours: For how long.
         seed: Decides where they start and where they go.
-        progress: Called with the hours that are over, every minute.
 
     Raises:
         InputError: There are too many vehicles, or the road is too large.
@@ -87,7 +79,7 @@ def long_drive(
     hz = episodes.config["policy_frequency"]
     table, found, crashes = scenes.vehicles[0], Drive(0, hours), Counter[str]()
     was_off = was_wreck = np.zeros(table.size, dtype=np.bool_)
-    for step in range(round(hours * 3600 * hz)):
+    for _ in range(round(hours * 3600 * hz)):
         decide(scenes, rows, nobody, SIMULATION_HZ // hz, 1 / hz)
         is_there = table["kind"] > OBSTACLE
         found.km += float(np.abs(table["speed"][is_there]).sum()) / hz / 1000
@@ -101,8 +93,6 @@ def long_drive(
         found.left += int((happened == LEFT).sum())
         is_new = np.isin(happened, (LEFT, CLEARED, FREED, ENTERED))
         was_off, was_wreck = is_off & ~is_new, table["crashed"] & ~is_new
-        if step % (60 * hz) == 0:
-            progress(step / hz / 3600)
     found.vehicles = int((table["kind"] > OBSTACLE).sum())
     found.stationary /= max(round(hours * 3600 * hz), 1)
     found.crashes = dict(crashes.most_common())

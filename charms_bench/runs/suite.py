@@ -57,17 +57,13 @@ def _listed(value: object) -> object:
 class EgoEntry(FrozenModel):
     """An ego of the suite; a plain text is its agent."""
 
+    plain_text = "agent"
     agent: AgentSpec
     """The agent that drives the ego; a plain text is its name, or the path of a network."""
     label: Name | None = None
     """Its name in tables; by default the agent's, and its style if it is given one."""
     paper: dict[str, Finite] = Field(default={})
     """Published values of the metrics of the set `paper`, shown beside the measured ones."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_name(cls, value: object) -> object:
-        return {"agent": value} if isinstance(value, str) else value
 
     @property
     def title(self) -> str:
@@ -85,10 +81,7 @@ class TrafficEntry(FrozenModel):
     paper: dict[str, Finite] = Field(default={})
     """Published values of the metrics of the set `paper`, shown beside the measured ones."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _from_name(cls, value: object) -> object:
-        return {"traffic": value} if isinstance(value, str) else value
+    plain_text = "traffic"
 
     @property
     def title(self) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import yaml
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.foundation.fields import UNLESS_EMPTY, Duration, Name
@@ -16,6 +16,7 @@ from charms_bench.world.scenario import Parameter
 class RoadEntry(NamedRoad):
     """A road of the suite; a plain text is its name."""
 
+    plain_text = "name"
     duration_s: Annotated[Duration | None, UNLESS_EMPTY] = None
     """Duration of an episode, unless it ends before. By default, it is `scene.duration_s`; without
     that, the duration of the environment; and 45 s where it has none."""
@@ -24,11 +25,6 @@ class RoadEntry(NamedRoad):
     parameters: Annotated[dict[Name, Parameter], UNLESS_EMPTY] = Field(default={})
     """Numbers of the configuration that `charms-bench search` varies, and their ranges. All other
     commands use those of `configuration`."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_name(cls, value: object) -> object:
-        return {"name": value} if isinstance(value, str) else value
 
     @property
     def title(self) -> str:

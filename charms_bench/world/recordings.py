@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from charms_bench.foundation.fields import FilePath, FrozenModel
 
@@ -21,6 +21,7 @@ class Split(FrozenModel):
 class RecordedMoments(FrozenModel):
     """Moments of recordings in highD's format; a plain string is the folder."""
 
+    plain_text = "folder"
     folder: FilePath
     """The folder of the recordings, relative to the suite's folder."""
     main_lanes: Annotated[int, Field(ge=1)] | None = None
@@ -29,8 +30,3 @@ class RecordedMoments(FrozenModel):
     """The part that is used; by default all."""
     sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
     """Hash of the files; found when they are first read."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_folder(cls, value: object) -> object:
-        return {"folder": value} if isinstance(value, str) else value
