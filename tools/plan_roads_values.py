@@ -66,6 +66,13 @@ def kept(name: str, found: pl.DataFrame, key: str) -> pl.DataFrame:
     return every
 
 
+def best_trial(runs: Path, test: str) -> int:
+    """The "seed" of a test with the largest mean of goal reached minus at fault or undecided."""
+    score = (pl.col("reached") - pl.col("at_fault")).mean()
+    scores = values_of(runs, test).group_by("seed").agg(score=score)
+    return int(scores.sort("score", -pl.col("seed"))["seed"][-1])
+
+
 def trained(networks: Path) -> pl.DataFrame:
     """Each network of the plan, with its hash and CPU minutes."""
     records = []

@@ -17,7 +17,7 @@ import polars as pl
 import yaml
 from plan_roads import SEED
 from plan_roads_tables import LIMITS, ROUGH, percentage
-from plan_roads_values import kept, mean_of, rates_of_traffic, values_of
+from plan_roads_values import best_trial, kept, mean_of, rates_of_traffic, values_of
 from result_pages import keep
 from roads_variants import COMPLETE, ONE_STYLE, STEPS, STEPS_OF_LEVEL_1, VARIANTS, Document, written
 
@@ -68,9 +68,7 @@ def chosen_trial(folder: Path, algorithm: str) -> int:
         agent = {"onnx": str(network.with_suffix(".onnx").resolve())}
         egos.append({"agent": agent, "label": f"{algorithm}{SEED}{trial}"})
     run(folder, f"trials-{algorithm}", {"egos": egos, "seed": 931_000_000})
-    score = (pl.col("reached") - pl.col("at_fault")).mean()
-    scores = values_of(folder, f"trials-{algorithm}").group_by("seed").agg(score=score)
-    return int(scores.sort("score", -pl.col("seed"))["seed"][-1])
+    return best_trial(folder, f"trials-{algorithm}")
 
 
 def finished(folder: Path) -> list[int]:

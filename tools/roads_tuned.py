@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 from plan_roads import SEED
-from plan_roads_values import values_of
+from plan_roads_values import best_trial
 from result_pages import keep
 from roads_ablations import SEEDS, TUNED, run
 
@@ -49,9 +48,7 @@ def chosen(folder: Path, seed: int) -> dict[str, float]:
     egos = [_ego(each, f"trial{SEED}{k}") for k, each in enumerate(options)]
     first = FIRST_EPISODE + 1000 * (seed - SEEDS[0])
     run(folder, f"trials-{seed}", {"egos": egos, "seed": first, "episodes": EPISODES})
-    score = (pl.col("reached") - pl.col("at_fault")).mean()
-    scores = values_of(folder, f"trials-{seed}").group_by("seed").agg(score=score)
-    return options[scores.sort("score", -pl.col("seed"))["seed"][-1]]
+    return options[best_trial(folder, f"trials-{seed}")]
 
 
 def _ego(options: dict[str, float], label: str) -> dict[str, Any]:
