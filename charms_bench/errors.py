@@ -222,6 +222,7 @@ def _plain(message: str) -> str:
         r"expected at least \1",
         message,
     )
+    message = message.replace("a valid tuple", "a list")
     return re.sub(
         r"dictionary( or (an )?instance of \w+| or object to extract.*)", "mapping", message
     )

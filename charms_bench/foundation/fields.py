@@ -59,6 +59,8 @@ class FrozenModel(BaseModel):
         """Says at an unknown key which keys there are, which pydantic's own error does not."""
         if cls.plain_text and isinstance(data, str):
             return {cls.plain_text: data}
+        if cls.plain_text and not isinstance(data, dict | BaseModel):
+            raise ValueError("expected a text or a mapping")
         known = {field.alias or name: field for name, field in cls.model_fields.items()}
         names = known if info.context else {**known, **cls.model_fields}  # in YAML, or elsewhere
         unknown = [key for key in data if key not in names] if isinstance(data, dict) else []

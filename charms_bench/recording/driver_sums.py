@@ -25,7 +25,7 @@ from charms_bench.recording.lane_changes import imposed_decisions, note_lane_cha
 from charms_bench.recording.primitives import NOBODY, SEEN, Frames, Some, distance_to, record
 from charms_bench.recording.rss import note_rss
 from charms_bench.world.road import Straight
-from charms_bench.world.scene import Bools, Ints
+from charms_bench.world.scene import Bools, Ints, Scene
 from charms_bench.world.thresholds import HARSH_MPS2
 
 STATE = record(f8="place", i4="cut_in pressed", i2="cutter near", b1="leader_began in_conflict")
@@ -42,11 +42,14 @@ _NOBODY_MET["near"] = _NOBODY_MET["cutter"] = NOBODY
 
 
 class DriverSums:
-    """The sums of all drivers of a simulation's scenes."""
+    """The sums of all drivers of a simulation's scenes.
 
-    def __init__(self, simulation: Simulation) -> None:
+    `scene` has the vehicles that count, if these are not all.
+    """
+
+    def __init__(self, simulation: Simulation, scene: Scene | None = None) -> None:
         shape = simulation.scene.x.shape
-        self._simulation = simulation
+        self._simulation, self._scene = simulation, scene or simulation.engine.state
         self._interval_s = 1.0 / simulation.settings.decision_hz
         self._sums = np.zeros((shape[0], len(simulation.agents) + 1), dtype=DRIVER_RECORD)
         self._counted = np.full((*shape, self._sums.shape[1]), NOBODY)
@@ -79,7 +82,7 @@ class DriverSums:
 
     def find_drivers(self) -> None:
         """Notes who drives which vehicle, and counts each vehicle once for each of its drivers."""
-        made, scene = self._simulation, self._simulation.engine.state
+        made, scene = self._simulation, self._scene
         # The ego's driver has column 0, and an agent the one after its index.
         self._drivers = made.engine.drivers + 1
         self._drivers[made.ego_vehicles] = 0

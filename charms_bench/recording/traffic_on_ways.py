@@ -3,7 +3,8 @@
 Each vehicle is described along its own way, on which it sees the others: its leader, its followers
 and its lanes are found as on the straight road. An event belongs to the way of the vehicle that
 follows or changes lanes. A vehicle that comes to another road, whose lanes have other numbers,
-changes no lane. One that has passed the end of a lane that no lane follows no longer counts.
+changes no lane. One that has passed the end of a lane that no lane follows, or only an oncoming
+one, no longer counts.
 """
 
 import numpy as np
@@ -28,7 +29,7 @@ class TrafficOnWays:
         simulation.collision_watchers.append(self._views.judge)
         self.kept = Primitives(simulation, self._views)
         """All vehicles, each along its own way."""
-        self._sums = DriverSums(simulation)
+        self._sums = DriverSums(simulation, self._views.own)
 
     def add(self, scenes: Ints) -> None:
         """Adds the decision interval of the scenes (S,) that has just ended."""

@@ -41,8 +41,9 @@ class TwoWay(Task):
         _start(scenes, rows, self._own, self._oncoming)
 
     def has_reached_goal(self, scenes: Scenes, lanes_before: Ints) -> Bools:
-        """Whether each ego (B,) is at the end of the road."""
-        return np.asarray(scenes.vehicles["x"][:, 0] > GOAL_M)
+        """Whether each ego (B,) is at the end of the road, in the direction in which it drives."""
+        x, lane = (scenes.vehicles[name][:, 0] for name in ("x", "lane"))
+        return np.where(lane == self._oncoming, x < LENGTH_M - GOAL_M, x > GOAL_M)
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, self.reward.weights, rewards)

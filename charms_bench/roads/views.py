@@ -6,7 +6,7 @@ import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.foundation import maths
-from charms_bench.foundation.arrays import Bools, Ints
+from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined, wrap_to_pi
 from charms_bench.roads.fault import Fault
 from charms_bench.roads.locating import coordinates_of, forget, heading_on
@@ -32,7 +32,7 @@ from charms_bench.roads.straightened import (
     target_beside,
 )
 from charms_bench.world.lane_geometry import END_MARGIN_M
-from charms_bench.world.road import Straight, is_near_lane, is_on_length
+from charms_bench.world.road import Straight, heading_at, is_near_lane, is_on_length
 from charms_bench.world.scene import VACANT_X_M, Scene, SceneSettings, Vehicles
 
 ALONG = np.dtype(
@@ -58,6 +58,9 @@ class RoadViews:
         self.at_fault: Bools = np.zeros(state.x.shape, dtype=np.bool_)
         self._roads = np.full(state.x.shape, -1)
         self.turned: Bools = np.zeros(state.x.shape, dtype=np.bool_)
+        self._has_passed_end: Bools = np.zeros(state.x.shape, dtype=np.bool_)
+        self._oncoming = np.full(state.x.shape, -1)
+        self._headings = headings_at_ends(scenes)
         self.look(np.arange(count))
 
     def follow(self) -> None:
@@ -70,6 +73,7 @@ class RoadViews:
             self._entry = entry
             self._ways["lanes"][is_new] = -1
             self.collision[is_new], self.at_fault[is_new] = NO_COLLISION, False
+            self._has_passed_end[is_new], self._oncoming[is_new] = False, -1
         follow_all(self._scenes, rows)
 
     def judge(self) -> None:
@@ -83,20 +87,37 @@ class RoadViews:
         roads = self._scenes.road.lanes["first"][self._scenes.vehicles["lane"]]
         self.turned, self._roads = roads != self._roads, roads
         see_themselves(self._scenes, self.own.unpacked, scenes)
-        self.own.present[:] = self._state.present & ~self._are_beyond_ends()
+        self._has_passed_end |= self._pass_ends()
+        self.own.present[:] = self._state.present & ~self._has_passed_end
 
-    def _are_beyond_ends(self) -> Bools:
-        """[B, N] whether vehicles have passed the end of a lane that no lane follows."""
+    def _pass_ends(self) -> Bools:
+        """[B, N] whether vehicles are beyond a lane that no lane follows, or only an oncoming one,
+        on which they turn round shortly before its end."""
         lanes, starts = self._ways["lanes"], self._ways["starts"][..., BEHIND]
-        lengths = self._scenes.road.lanes["length"][self._scenes.vehicles["lane"]]
-        is_last = (lanes[..., BEHIND] >= 0) & (lanes[..., BEHIND + 1] < 0)
-        beyond: Bools = is_last & (self.own.x - starts >= lengths + END_MARGIN_M)
-        beyond[np.arange(len(beyond)), self._state.ego] = False
-        return beyond
+        own, following, road = lanes[..., BEHIND], lanes[..., BEHIND + 1], self._scenes.road.lanes
+        beyond, (at_start, at_end) = self.own.x - starts - road["length"][own], self._headings
+        has_turned_round = self._roads == self._oncoming
+        is_oncoming = (following >= 0) & (np.cos(at_start[following] - at_end[own]) < -0.5)
+        self._oncoming = np.where(is_oncoming, road["first"][following], -1)
+        passes: Bools = np.where(is_oncoming, beyond >= -END_MARGIN_M / 2, beyond >= END_MARGIN_M)
+        passes &= is_oncoming | (following < 0)
+        passes |= has_turned_round
+        passes[np.arange(len(passes)), self._state.ego] = False
+        return passes & (own >= 0)
 
     def see(self, vehicles: Vehicles, after: Ints, seen: Any) -> None:
         rows, places = vehicles
         see_each(self._scenes, self.own.unpacked, self._along, rows, places, after, seen)
+
+
+def headings_at_ends(scenes: Scenes) -> tuple[Floats, Floats]:
+    """(L,) the headings of all lanes at their starts and at their ends."""
+    road, lengths = scenes.road, scenes.road.lanes["length"]
+    at_start, at_end = (
+        np.array([heading_at(road, lane, s) for lane, s in enumerate(at)])
+        for at in (np.zeros_like(lengths), lengths)
+    )
+    return at_start, at_end
 
 
 @compiled_of_scenes

@@ -119,10 +119,6 @@ def test_a_network_learns_in_a_scenario_on_roads(tmp_path: Path) -> None:
     assert [str(scene.network) for scene in (merge, roundabout)] == ["merge-v1", "roundabout-v1"]
     assert [scene.duration_s for scene in (merge, roundabout)] == [3.0, 4.0]
     assert traffic.agents == ("prescribed",)
-    stage, (placed,) = suite.stages["level_1"], suite.conditions["placed"]
-    drawn = placed.model_copy(update={"ego_slots": 3})
-    assert placed.traffic is not None
-    assert drawn.applied(stage.scene, placed.traffic).ego_slots == 1
     assert [scene.scenario.vehicles[0].name for scene in (merge, roundabout) if scene.scenario] == [
         "leader"
     ] * 2
@@ -142,6 +138,10 @@ def test_a_scenario_that_cannot_be_placed_on_a_road_is_named_with_its_place(tmp_
     [
         ("motorway-v9", "conditions.roads[0].roads[1]: no road named 'motorway-v9'"),
         ("{name: merge-v1, configuration: {duration: 9}}", "configuration.duration"),
+        (
+            "{name: exit-v1, configuration: {controlled_vehicles: 3}}",
+            "conditions.roads[0].roads[1]: has 3 egos; expected a road with one",
+        ),
     ],
 )
 def test_a_road_that_cannot_be_had_is_named_with_its_place(

@@ -136,6 +136,21 @@ def test_a_vehicle_that_passes_the_end_of_its_road_no_longer_counts() -> None:
     assert sum(counted) == collided
 
 
+def test_a_vehicle_that_turns_round_at_the_end_of_its_road_no_longer_counts() -> None:
+    scenes, ends = 12, (2.5, 800.0 - 2.5)  # where highway-env's vehicles look for the next lane
+    made = simulation("two-way-v0", scenes, OneAgent(PRESCRIBED), "yielding_human", 45.0)
+    recording, state = Recording(made), made.engine.state
+    y, lost, ended = state.y.copy(), np.zeros_like(state.present), np.zeros_like(state.present)
+    while made.scene.active.any():
+        running = made.scene.active[:, None].copy()
+        made.step()
+        recording.note()
+        ended |= running & ((state.x < ends[0]) | (state.x > ends[1]))
+        lost |= running & ~ended & (state.crashed | (np.abs(state.y - y) > 2.0))
+    assert ended[:, 1:].mean() > 0.5
+    assert recording.episodes()["traffic_crashed"].to_list() == lost[:, 1:].sum(axis=1).tolist()
+
+
 @pytest.mark.parametrize("road", ["merge-v1", "roundabout-v1"])
 def test_a_vehicle_that_comes_to_another_road_changes_no_lane(road: str) -> None:
     scenes = 10

@@ -22,6 +22,7 @@ from charms_bench.runs.suite_roads import RoadEntry
 from charms_bench.world.action_texts import MetaActionsField
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction, with_speed_steps
 from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.named_road import DRAWN, ENVIRONMENT
 from charms_bench.world.observations import NamedObservation, named_observation
 from charms_bench.world.recorded_moments import RecordedScene
 from charms_bench.world.scenario import PRESCRIBED
@@ -51,7 +52,7 @@ class Condition(FrozenModel):
     profile: ProfileLike | None = None
     ego_slots: Annotated[int, Field(ge=1)] | None = None
     """How many of the first vehicles can be the ego, by default 1 on roads; all of them, if there
-    are fewer. A scenario says itself where the ego is."""
+    are fewer. Scenarios and recorded scenes say themselves which vehicle the ego is."""
     traffic: TrafficSpec | None = None
     """A scenario's `points` are `random`, because trainings have other seeds than evaluations."""
     roads: Annotated[tuple[RoadEntry, ...], Field(strict=False, max_length=100)] | None = None
@@ -75,8 +76,14 @@ class Condition(FrozenModel):
         """The scene of these episodes, with the traffic's scenario, on the first of the roads.
 
         Raises:
-            InputError: The road does not exist, or its configuration is wrong.
+            InputError: The road does not exist, its configuration is wrong, or the ego is given
+                and cannot be one of several vehicles.
         """
+        configurations = [road.configuration or {} for road in (self.roads or ())[:1]]
+        is_recorded = any(each.get("start", DRAWN) != DRAWN for each in configurations)
+        if self.ego_slots is not None and (is_recorded or traffic.scenario is not None):
+            what = "the recorded scene" if is_recorded else "the scenario"
+            raise InputError(f"{what} says which vehicle the ego is; remove ego_slots")
         names = {"lanes", "density", "duration_s", "profile"}
         changes = self.model_dump(include=names, exclude_none=True)
         if self.ego_slots is not None and not self.roads:
@@ -86,10 +93,8 @@ class Condition(FrozenModel):
             from charms_bench.roads.settings import on_road  # slow to import
 
             found = on_road(found, road.road, road.duration_s, traffic.scenario)
-            if traffic.scenario is None:
-                slots = min(self.ego_slots or 1, 1 + found.traffic_vehicles)
-                found = found.model_copy(update={"ego_slots": slots})
-            return found
+            slots = min(self.ego_slots or 1, 1 + found.traffic_vehicles)
+            return found.model_copy(update={"ego_slots": slots})
         return found.of_scenario(traffic.scenario)
 
 
@@ -238,6 +243,12 @@ class TrainingSuite(FrozenModel):
     stages: Annotated[dict[Name, Stage], Field(min_length=1, max_length=100)]
     """Stages of reinforcement learning; `like` names a stage to copy missing settings from."""
     human: Human | None = None
+
+    @model_validator(mode="after")
+    def _keywords_are_no_stages(self) -> "TrainingSuite":
+        for name in self.names & {ENVIRONMENT, PRESCRIBED}:
+            raise ValueError(f"'{name}' is no agent: expected another name of the stage")
+        return self
 
     @model_validator(mode="after")
     def _people_take_the_actions(self) -> "TrainingSuite":

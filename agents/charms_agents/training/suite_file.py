@@ -11,9 +11,11 @@ from charms_agents.training.settings import Condition, TrainingSuite
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
+from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.runs.document import Document, Location
 from charms_bench.runs.suite import check_placement
 from charms_bench.world.observations import Neighbours
+from charms_bench.world.scenario import PRESCRIBED
 
 PLACED = 1_000
 """Points of a scenario that are tried before a network learns in it."""
@@ -59,18 +61,8 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         for label, style in stage.all_styles.items():
             of_style: Location = (*at, *(("styles", label) if label else ()), "weights")
             _check_name(document, of_style, "weights", style.weights, suite.weights)
+        _check_traffic(document, suite, (*at, "traffic"), stage.traffic)
         _check_conditions(document, suite, name, placed)
-        try:
-            for driver in suite.drivers_of(stage):
-                if is_network(driver):
-                    OnnxPolicy(path.parent / driver)
-                elif driver not in suite.names:
-                    find(AGENTS, driver)
-        except RegistryError as error:
-            stages = f"Stages of this file: {', '.join((*suite.stages, *suite.human_stages))}."
-            raise document.error((*at, "traffic"), f"{error} {stages}") from error
-        except InputError as error:
-            raise document.error((*at, "traffic"), str(error)) from error
     for name, human in suite.human_stages.items():
         place = ("human", "stages", name)
         if name in suite.stages:
@@ -103,6 +95,25 @@ def _check_name(
         raise document.error(at, f"no {kind} named '{name}'{under}; {there}")
 
 
+def _check_traffic(
+    document: Document, suite: TrainingSuite, at: Location, traffic: TrafficSpec
+) -> None:
+    """Rejects traffic whose drivers are neither stages nor installed nor networks."""
+    if traffic.name in suite.names and traffic.options:
+        raise document.error(at, f"'{traffic.name}' is a stage, which has no options: remove them")
+    try:
+        for driver in suite.traffic_of(traffic).agents:
+            if is_network(driver):
+                OnnxPolicy(document.path.parent / driver)
+            elif driver not in suite.names and driver != PRESCRIBED:
+                find(AGENTS, driver)
+    except RegistryError as error:
+        stages = f"Stages of this file: {', '.join((*suite.stages, *suite.human_stages))}."
+        raise document.error(at, f"{error} {stages}") from error
+    except InputError as error:
+        raise document.error(at, str(error)) from error
+
+
 def _check_conditions(
     document: Document, suite: TrainingSuite, name: str, placed: set[str]
 ) -> None:
@@ -110,6 +121,8 @@ def _check_conditions(
 
     `placed` has the scenarios and scenes of earlier stages, which are not placed again.
     """
+    from charms_bench.roads.settings import egos_on  # slow to import
+
     stage = suite.stages[name]
     named: list[tuple[Location, Condition]] = [
         (("conditions", each, index), condition)
@@ -118,11 +131,16 @@ def _check_conditions(
     ]
     for at, condition in named or [(("stages", name), Condition())]:
         traffic = condition.traffic or stage.traffic
+        if condition.traffic is not None:
+            _check_traffic(document, suite, (*at, "traffic"), condition.traffic)
         for index, each in enumerate(condition.by_road):
+            where: Location = (*at, "roads", index) if condition.roads else at
             try:
                 scene = each.applied(stage.scene, traffic)
             except InputError as error:
-                raise document.error((*at, "roads", index), str(error)) from error
+                raise document.error(where, str(error)) from error
+            if scene.network is not None and (egos := egos_on(scene)) > 1:
+                raise document.error(where, f"has {egos} egos; expected a road with one")
             steps, expected = (one.profile.target_speed_steps_mps for one in (scene, stage.scene))
             if steps != expected:
                 what = f"{[*steps]}; expected those of the stage '{name}', {[*expected]}"
