@@ -20,6 +20,7 @@ from charms_bench.foundation.files import read_limited, write_bytes
 from charms_bench.maps.assembly import WIDEST_LANE_M, check_lanes
 from charms_bench.maps.bridging import touch
 from charms_bench.maps.conflicts import conflicts_of
+from charms_bench.maps.nodes import turns_back
 from charms_bench.maps.road_map import (
     Conflict,
     Exact,
@@ -344,7 +345,13 @@ def _lane(lane: Any, where: str) -> MapLane:
         if problem:
             raise MapError(f"{where}: {problem}")
         points = points_of(exact, lane.z)
-    return MapLane(lane.id, points, exact, lane.speed_limit, lane.type, lane.successors)
+    found = MapLane(lane.id, points, exact, lane.speed_limit, lane.type, lane.successors)
+    if turns_back(found):
+        raise MapError(
+            f"{where}: turns back, so that positions along it are not found; make its road several "
+            "roads, one after the other"
+        )
+    return found
 
 
 def _problem(exact: Exact) -> str:

@@ -154,7 +154,9 @@ class Suite(FrozenModel):
     ]
     """The agents that are evaluated, at most 100."""
     roads: Annotated[
-        tuple[RoadEntry, ...], Field(max_length=ENTRIES_LIMIT, strict=False), UNLESS_EMPTY
+        tuple[RoadEntry, ...],
+        Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False),
+        UNLESS_EMPTY,
     ] = ()
     """Roads of highway-env or in files, at most 100. By default, it is the straight road of the
     scene."""

@@ -129,6 +129,8 @@ def change(*keys: Any, to: Any) -> Callable[[Any], None]:
     return apply
 
 
+HAIRPIN = {"id": "by", "kind": "polyline", "x": [90, 140, 140, 90], "y": [3, 3, 13, 13],
+           "width": [3, 3, 3, 3]}  # fmt: skip
 IN, OUT = ("roads", 0, "lanes", 0), ("roads", 2, "lanes", 0)
 
 
@@ -157,6 +159,10 @@ IN, OUT = ("roads", 0, "lanes", 0), ("roads", 2, "lanes", 0)
         (change(*OUT, "end_phase", to=4), "roads.2.lanes.0: turns by 5.5708 rad"),
         (change(*OUT, "clockwise", to=False), "roads.2.lanes.0: turns by -1.5708 rad"),
         (change("roads", 2, "lanes", 1, "width", to=[3]), "at least 2"),
+        (
+            change("roads", 2, "lanes", 1, to=HAIRPIN),
+            "roads.2.lanes.1: turns back, so that positions along it are not found",
+        ),
         (change("roads", 2, "lanes", 1, "x", to=[1, 2, 3]), "have 3, 2, 3, 2 numbers"),
         (change(*IN, "end", to=[50, 7]), "lane 'on' starts at (50, 0); expected (50, 7)"),
         (change("roads", 1, "start", to="a"), "lane 'on' starts at node 'a'; expected 'b'"),

@@ -55,7 +55,9 @@ class Condition(FrozenModel):
     are fewer. Scenarios and recorded scenes say themselves which vehicle the ego is."""
     traffic: TrafficSpec | None = None
     """A scenario's `points` are `random`, because trainings have other seeds than evaluations."""
-    roads: Annotated[tuple[RoadEntry, ...], Field(strict=False, max_length=100)] | None = None
+    roads: (
+        Annotated[tuple[RoadEntry, ...], Field(strict=False, min_length=1, max_length=100)] | None
+    ) = None
     """Roads as in the suite of an evaluation; the condition counts once for each of them."""
 
     @model_validator(mode="after")
