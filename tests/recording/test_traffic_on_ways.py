@@ -112,7 +112,7 @@ def test_every_vehicle_is_counted_on_a_road_where_they_come_and_go() -> None:
 
 def test_a_vehicle_that_passes_the_end_of_its_road_no_longer_counts() -> None:
     scenes, end = 24, 170.0 + 5.0  # of the exits of highway-env's roundabout, and its margin
-    made = simulation("roundabout-v1", scenes, OneAgent("charms-roads"), "yielding_human", 45.0)
+    made = simulation("roundabout-v1", scenes, OneAgent("idm_mobil"), "yielding_human", 45.0)
     recording, state = Recording(made), made.engine.state
     counts, beyond = state.present.copy(), np.zeros_like(state.present)
     driven, collided, outside = np.zeros(scenes), 0, 0
