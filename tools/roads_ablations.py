@@ -1,11 +1,12 @@
 """What makes CHARMS for all roads work, by taking it away; see docs/training-plan-roads.md.
 
-    python tools/roads_ablations.py FOLDER
+    python tools/roads_ablations.py FOLDER [PART ...]
 
 Trains each variant of `suites/train-roads-self-play.yaml` with five seeds, gives DQN and PPO of
 Stable-Baselines3 as many trials as IDM+MOBIL, trains the best with the same seeds, and drives all
-of them. What is finished in FOLDER is not done again. `write_results.py roads-ablations FOLDER`
-writes the table.
+of them. A part is a seed, whose variants are trained, or DQN or PPO, so that several processes can
+train; without parts, all is done. What is finished in FOLDER is not done again.
+`write_results.py roads-ablations FOLDER` writes the table.
 """
 
 import json
@@ -40,19 +41,21 @@ def networks_of(folder: Path, name: str, seed: int) -> Path:
     return folder.resolve() / f"{name}{SEED}{seed}" / "networks"
 
 
-def train(folder: Path) -> None:
-    """Trains each variant and each other algorithm with each seed."""
+def train(folder: Path, part: str) -> None:
+    """Trains each variant with a seed, or the best trial of another algorithm with each seed."""
     from roads_baselines import train_baseline  # needs the extra `train`
 
-    best = {algorithm: chosen_trial(folder, algorithm) for algorithm in BASELINES}
-    for seed in SEEDS:
+    if part not in BASELINES:
         for name in VARIANTS:
-            file = written(folder, name, seed)
-            charms_bench.train(file, folder / f"{name}{SEED}{seed}", workers=1)
-            for algorithm in BASELINES if name == ONE_STYLE else ():
-                among, own = (networks_of(folder, each, seed) for each in (name, algorithm))
-                steps = STEPS - STEPS_OF_LEVEL_1
-                train_baseline(file, algorithm, best[algorithm], steps, among, own / "roads")
+            file = written(folder, name, int(part))
+            charms_bench.train(file, folder / f"{name}{SEED}{part}", workers=1)
+        return
+    best = chosen_trial(folder, part)
+    for seed in SEEDS:
+        among, own = (networks_of(folder, each, seed) for each in (ONE_STYLE, part))
+        steps = STEPS - STEPS_OF_LEVEL_1
+        file = written(folder, ONE_STYLE, seed)
+        train_baseline(file, part, best, steps, among, own / "roads")
 
 
 def chosen_trial(folder: Path, algorithm: str) -> int:
@@ -185,9 +188,11 @@ def tables(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: python tools/roads_ablations.py FOLDER")
+    if len(sys.argv) < 2:
+        sys.exit("usage: python tools/roads_ablations.py FOLDER [PART ...]")
     where = Path(sys.argv[1])
     where.mkdir(parents=True, exist_ok=True)
-    train(where)
-    drive(where)
+    for each in sys.argv[2:] or (*map(str, SEEDS), *BASELINES):
+        train(where, each)
+    if not sys.argv[2:]:
+        drive(where)

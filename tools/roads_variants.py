@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from plan_roads import SEED
 from result_pages import ROOT
 
 SUITE = ROOT / "suites" / "train-roads-self-play.yaml"
@@ -90,6 +91,6 @@ def written(folder: Path, name: str, seed: int) -> Path:
     stages["level_1"]["steps"] = STEPS_OF_LEVEL_1
     stages["roads"]["steps"] = STEPS - STEPS_OF_LEVEL_1
     VARIANTS[name](suite)
-    file = folder / f"{name}.yaml"
+    file = folder / f"{name}{SEED}{seed}.yaml"
     file.write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
     return file
